@@ -98,7 +98,7 @@ setup(
     package_dir={"warpcage": "warpcage", **LINKED},
     package_data={
         "warpcage": ["py.typed", "__init__.pyi"],
-        "warpcage.editor": ["page/*", "page/*/*"],
+        "warpcage.studio.editor": ["page/*", "page/*/*"],
         "warpcage.examples": ["clusters/*"],
         "warpcage.kernels": ["README.md"],
         **{f"warpcage.kernels.{room}": ["*.h", "cpp/*.h", "README.md"] for room in find_packages("kernels")},
@@ -130,7 +130,7 @@ setup(
         "test": TEST,
         "dev": DEV,
     },
-    entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
+    entry_points={"console_scripts": ["warpcage=warpcage.studio.cli:main"]},
     classifiers=[
         "Programming Language :: Python :: 3",
         "Environment :: GPU :: NVIDIA CUDA",

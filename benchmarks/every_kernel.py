@@ -24,7 +24,6 @@ from machine_code import kernel_modules
 import warpcage
 from warpcage import FieldOptimizer, PositionMap
 from warpcage.core import launch, limit_threads
-from warpcage.editor import frame_pixels
 from warpcage.field import harmonics_on_device
 from warpcage.fitting.splats import PictureLoss
 from warpcage.kernels.coordinates.green import map_green
@@ -33,6 +32,7 @@ from warpcage.lattice import HarmonicSolver, PoseGraph
 from warpcage.mesh import prepared_fans
 from warpcage.reference import CarriedMesh, InverseMap, synthetic_scene
 from warpcage.splats import SplatDensity
+from warpcage.studio.editor import frame_pixels
 from warpcage.view import RGB_BYTES, camera_array
 
 #: Kernels that only one kind of device launches.

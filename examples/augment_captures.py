@@ -25,13 +25,13 @@ import numpy as np
 import warp as wp
 
 import warpcage
-from warpcage.batch.run import run_jobs
-from warpcage.batch.sweeps import GivenSource, RandomSource, write_sweep
-from warpcage.batch.webdataset import read_shard, shard_path
 from warpcage.core.files import atomic_path
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.reference.brick_scene import write_brick_scene
 from warpcage.reference.viewpoints import reference_cameras, spread_eyes
+from warpcage.studio.jobs.run import run_jobs
+from warpcage.studio.jobs.sweeps import GivenSource, RandomSource, write_sweep
+from warpcage.studio.jobs.webdataset import read_shard, shard_path
 from warpcage.view.pictures import contact_sheet, write_png
 
 #: Every eighth picture is held out.

@@ -24,7 +24,7 @@ import warpcage
 from warpcage.cage.snap import snap_to_gaps
 from warpcage.core.devices import resolve_device
 from warpcage.core.files import atomic_path
-from warpcage.editor.demo import demo_files
+from warpcage.studio.editor.demo import demo_files
 from warpcage.view.overlay import draw_cage
 from warpcage.view.pictures import contact_sheet, write_png
 

@@ -24,7 +24,7 @@ import numpy as np
 from common import BENCHMARKS, CAGE, FIELD, JSON, command, eye_beside, option, write_results
 
 import warpcage
-from warpcage.batch import write_jobs
+from warpcage.studio.jobs import write_jobs
 
 #: Seconds between two looks at the GPUs.
 LOOK = 0.5

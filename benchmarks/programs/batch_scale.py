@@ -15,7 +15,7 @@ from common import JSON, add_tests_to_path, ball_field, command, option, pickle_
 from pages.pages import batch_scale_text
 
 import warpcage
-from warpcage.batch import (
+from warpcage.studio.jobs import (
     AIM,
     LARGEST,
     ChunkQueue,

@@ -48,7 +48,7 @@ class Laps:
 
 def process_steps(laps: Laps, workers: int) -> None:
     """Start processes of workers that make nothing, as a run of several does, and end them."""
-    from warpcage.batch import ItemReader, LocalHost, OutputFolder, RunnerSettings
+    from warpcage.studio.jobs import ItemReader, LocalHost, OutputFolder, RunnerSettings
 
     laps.note("import the driver")
     with tempfile.TemporaryDirectory() as temporary:
@@ -77,14 +77,14 @@ def worker_steps(laps: Laps, args) -> None:
     """All that comes before the first frame, that frame and the one after it."""
     import warp as wp
 
-    from warpcage.batch import worker  # noqa: F401
+    from warpcage.studio.jobs import worker  # noqa: F401
 
     laps.note("import a worker")
     import warpcage
-    from warpcage.batch.job_file import file_hash
     from warpcage.core import resolve_device
     from warpcage.field import load_field
     from warpcage.render import load_pose_modules, render_modules
+    from warpcage.studio.jobs.job_file import file_hash
 
     device = resolve_device(args.device)
     wp.zeros(1, device=device).numpy()

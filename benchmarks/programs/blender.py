@@ -90,10 +90,10 @@ def preview(args) -> None:
     import warpcage
     from warpcage import deform_points, psnr
     from warpcage.core import resolve_device
-    from warpcage.editor import demo_files
-    from warpcage.films import read_pose
     from warpcage.mesh import write_glb
     from warpcage.reference import InverseMap
+    from warpcage.studio.editor import demo_files
+    from warpcage.studio.films import read_pose
     from warpcage.view import contact_sheet, read_image, write_png
 
     device = resolve_device(args.device)

@@ -97,7 +97,7 @@ def editor(args: argparse.Namespace):
         words += ["--device", args.device] if args.device else []
         if args.field is None:
             from warpcage.core import resolve_device
-            from warpcage.editor import demo_files
+            from warpcage.studio.editor import demo_files
 
             field = demo_files(resolve_device(args.device))[0]
             words += ["--demo", "--session", str(folder / "demo.session.json")]
@@ -387,7 +387,7 @@ def pictures(args) -> None:
 
     import warpcage
     from warpcage.core import resolve_device
-    from warpcage.editor import demo_files
+    from warpcage.studio.editor import demo_files
 
     field, cage = (args.field, args.cage) if args.field else demo_files(resolve_device(None))
     out = pathlib.Path(args.out)

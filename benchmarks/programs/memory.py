@@ -20,8 +20,8 @@ from common import GROWTH, JSON, ball_field, command, option, resident, write_re
 import warpcage
 import warpcage.view.film as film
 from warpcage import PoseFile
-from warpcage.batch import ProcessEngine, run, write_jobs
 from warpcage.core import BackgroundWriter, overlap, stream
+from warpcage.studio.jobs import ProcessEngine, run, write_jobs
 from warpcage.view import write_png
 
 #: Times that a part of a long run is sampled, and its share that runs before the first.
@@ -417,7 +417,7 @@ def batch(args) -> int:
     curves: dict[str, list] = {"items": [], "driver": [], "worker 0": [], "worker 1": []}
     marks = {int(mark) for mark in np.linspace(0, args.items, BATCH_SAMPLES + 1)[1:]}
 
-    def look(state: warpcage.batch.RunProgress) -> None:
+    def look(state: warpcage.studio.jobs.RunProgress) -> None:
         passed = {mark for mark in marks if mark <= state.done}
         if state.stage == "make" and passed and len(Seen.newest.places) == 2:
             marks.difference_update(passed)

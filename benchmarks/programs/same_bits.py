@@ -160,7 +160,7 @@ JOBS = [
 #: Runs commands of the tree that PYTHONPATH names, one after another, and writes how each ended.
 RUNNER = """
 import contextlib, io, json, pathlib, shlex, sys
-from warpcage.cli import main
+from warpcage.studio.cli import main
 ended = {}
 for line in pathlib.Path(sys.argv[1]).read_text().splitlines():
     said = io.StringIO()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from batch_simulation import Conditions, SimulatedEngine
 
-from warpcage.batch import ChunkQueue, ChunkReport, Dispatcher, Driver
+from warpcage.studio.jobs import ChunkQueue, ChunkReport, Dispatcher, Driver
 
 
 def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, progress=None, **words):

@@ -9,8 +9,8 @@ from runs import run, without
 
 import warpcage
 from warpcage import Camera, FieldOptimizer, SplatField, VoxelField, load_scene
-from warpcage.batch import CHECKPOINTS, Item, Worker
 from warpcage.fitting import save_progress
+from warpcage.studio.jobs import CHECKPOINTS, Item, Worker
 
 CAMERA = Camera.look_at((2.5, -1.2, 1.0), (0, 0, 0), width=40, height=32)
 FRAME = {

@@ -13,7 +13,7 @@ from refusals import refused
 from runs import without
 
 from warpcage import CageEdit
-from warpcage.batch import EvaluateItem, FitItem, FrameItem, Item, JobFile, write_jobs
+from warpcage.studio.jobs import EvaluateItem, FitItem, FrameItem, Item, JobFile, write_jobs
 
 HEADER = {"format": "warpcage jobs", "version": 1}
 CAMERA = {"eye": [3, 0, 0], "target": [0, 0, 0], "width": 40, "height": 30}
@@ -342,7 +342,7 @@ def test_lines_take_few_bytes_each(tmp_path):
         file.write(head + "\n")
         file.writelines(f'{{"id": "f{index}"}}\n' for index in range(count))
     code = (
-        "import resource, sys; from warpcage.batch.job_file import JobFile\n"
+        "import resource, sys; from warpcage.studio.jobs.job_file import JobFile\n"
         "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "job = JobFile(sys.argv[1]); print(len(job), job.item(277_777).id, job.line(277_777))\n"
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"

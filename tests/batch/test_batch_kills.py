@@ -19,8 +19,8 @@ from refusals import refused
 from runs import SUPPORT, left_over, pictures, records, run_with, write_frames
 
 import warpcage
-from warpcage.batch import LocalHost, ProcessEngine, RayHost, early_processes, scheduler
 from warpcage.core import cpu_threads
+from warpcage.studio.jobs import LocalHost, ProcessEngine, RayHost, early_processes, scheduler
 
 FRAMES = 40
 
@@ -85,7 +85,7 @@ def engines(monkeypatch):
             super().__init__(*given)
             made.append(self)
 
-    monkeypatch.setattr("warpcage.batch.run.ProcessEngine", Seen)
+    monkeypatch.setattr("warpcage.studio.jobs.run.ProcessEngine", Seen)
     return made
 
 
@@ -306,7 +306,7 @@ def test_an_endless_item_is_failed_and_the_rest_is_made(address, tmp_path, worke
 
 @RAY_AT_NIGHT
 def test_a_worker_that_answers_no_more_is_ended(address, tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.batch.run.ANSWER", 3.0)
+    monkeypatch.setattr("warpcage.studio.jobs.run.ANSWER", 3.0)
     path, out = write_frames(tmp_path / "job", 12), tmp_path / "out"
     report = run_by(address, path, out, Deaf, workers=2, retries=0, item_timeout=2)
     line = "its worker was ended: it did not answer for 3 s, 1 time while it was made"
@@ -336,9 +336,7 @@ def test_workers_that_cannot_start_end_the_run_in_one_line(address, tmp_path):
 @RAY_AT_NIGHT
 def test_an_interrupt_keeps_what_is_made(address, job, whole, tmp_path):
     out = tmp_path / "out"
-    program = (
-        "import signal, sys\nfrom warpcage.cli import main\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
-    )
+    program = "import signal, sys\nfrom warpcage.studio.cli import main\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
     words = words_of(address, job, out)
     line = [sys.executable, "-c", f"{program}\nsys.exit(main(sys.argv[1:]))", *words]
     driver = subprocess.Popen(line, stderr=subprocess.PIPE, text=True)

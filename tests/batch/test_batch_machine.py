@@ -17,7 +17,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from warpcage.batch import Answer, ChunkQueue, Dispatcher, Driver
+from warpcage.studio.jobs import Answer, ChunkQueue, Dispatcher, Driver
 
 LIMIT = 30.0  # seconds that an item may take
 MOST_WAITS = 5000  # of the driver, until a run that nothing happens to any more has ended

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from warpcage.batch import Manifest, id_key, merge_notes, notes_of_chunk
+from warpcage.studio.jobs import Manifest, id_key, merge_notes, notes_of_chunk
 
 
 def record(name, state="done", **words):
@@ -73,7 +73,7 @@ def test_a_manifest_that_cannot_be_written_loses_no_notes(tmp_path):
     before = manifest.read_bytes(), notes.read_bytes()
     program = (
         "import resource, signal, sys\n"
-        "from warpcage.batch.manifest import merge_notes\n"
+        "from warpcage.studio.jobs.manifest import merge_notes\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({len(before[0]) + 500},) * 2)\n"
         "try: merge_notes(sys.argv[1], [sys.argv[2]])\n"
@@ -113,7 +113,7 @@ def test_a_record_is_found_by_its_id(tmp_path):
 
 
 def test_two_ids_with_one_key_are_told_apart(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.batch.manifest.id_key", lambda name: 5)
+    monkeypatch.setattr("warpcage.studio.jobs.manifest.id_key", lambda name: 5)
     write(tmp_path / "manifest.jsonl", record("a"), record("b", seconds=3))
     assert Manifest(tmp_path / "manifest.jsonl").find("b")["seconds"] == 3
     assert id_key("a") != id_key("b")
@@ -131,7 +131,7 @@ def test_what_a_dead_worker_left_of_a_chunk(tmp_path):
 def test_a_line_that_does_not_fit_is_taken_away_again(tmp_path):
     program = (
         "import resource, signal, sys\n"
-        "from warpcage.batch.manifest import Notes\n"
+        "from warpcage.studio.jobs.manifest import Notes\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "notes = Notes(sys.argv[1])\n"
         "notes.append({'id': 'a', 'state': 'done'})\n"

@@ -14,7 +14,7 @@ import pytest
 from makers import Making, number_of
 from runs import records, run_with, write_frames
 
-from warpcage.batch import (
+from warpcage.studio.jobs import (
     Chunk,
     ChunkQueue,
     ChunkReport,
@@ -28,7 +28,7 @@ from warpcage.batch import (
     RunnerSettings,
     Share,
 )
-from warpcage.batch.engines import chunk_runner
+from warpcage.studio.jobs.engines import chunk_runner
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +131,7 @@ def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
 def test_a_chunk_ends_with_its_time_and_loading_is_told_apart(files, tmp_path, monkeypatch):
     """The first item loads: what it takes is not what others take."""
     clock = types.SimpleNamespace(passed=0.0, perf_counter=lambda: clock.passed)
-    monkeypatch.setattr("warpcage.batch.engines.chunk_runner.time", clock)
+    monkeypatch.setattr("warpcage.studio.jobs.engines.chunk_runner.time", clock)
     seconds = iter([2.0, 0.25, 0.25, 0.25, 5.0, 0.25, 8.0, 0.25])
 
     class Timed(Writing):
@@ -226,8 +226,8 @@ class Scripted:
 def driven(files, tmp_path, monkeypatch):
     """Runs a job of twelve frames by one worker, whose first process does what a script says: what was seen so far,
     the process, what it is asked, and what it is given. It returns whether that is all; else the process does well."""
-    monkeypatch.setattr("warpcage.batch.run.TICK", 0.01)
-    monkeypatch.setattr("warpcage.batch.engines.chunk_runner.run_name", lambda: "run")
+    monkeypatch.setattr("warpcage.studio.jobs.run.TICK", 0.01)
+    monkeypatch.setattr("warpcage.studio.jobs.engines.chunk_runner.run_name", lambda: "run")
     folder = OutputFolder(tmp_path / "out")
     folder.prepare()
     seen = types.SimpleNamespace(folder=folder, processes=[], orders=[], lines=[], now=0.0)
@@ -335,7 +335,7 @@ def test_a_worker_that_is_asked_and_answers_nothing_is_ended(driven):
 @pytest.mark.parametrize("slow", [0.5, 0.0])
 def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, slow):
     """Unless its items are slow: who watches wants to know of each chunk before the next one is made."""
-    monkeypatch.setattr("warpcage.batch.engines.processes.SLOW", slow)
+    monkeypatch.setattr("warpcage.studio.jobs.engines.processes.SLOW", slow)
     events: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
 
     class Told(Making):

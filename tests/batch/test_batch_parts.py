@@ -8,8 +8,8 @@ from refusals import refused
 from runs import RECORDS, left_over, pictures, records, write_frames, write_records
 
 from warpcage import run_jobs
-from warpcage.batch import OutputFolder, Part
-from warpcage.cli import main
+from warpcage.studio.cli import main
+from warpcage.studio.jobs import OutputFolder, Part
 
 
 def run_part(path, out, part=None, maker=None):

@@ -12,7 +12,7 @@ from refusals import refused
 from runs import write_files
 
 from warpcage import Cage, CameraFile, RandomPoses, load_scene, turntable
-from warpcage.batch import (
+from warpcage.studio.jobs import (
     Item,
     JobFile,
     Worker,

@@ -18,8 +18,8 @@ from refusals import refused
 from runs import RECORDS, SUPPORT, left_over, pictures, records, run_with, write_frames, write_records
 
 import warpcage
-from warpcage.batch import OutputFolder, pack_shard, read_shard, unpaid
-from warpcage.cli import main
+from warpcage.studio.cli import main
+from warpcage.studio.jobs import OutputFolder, pack_shard, read_shard, unpaid
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +153,7 @@ def test_a_second_driver_is_refused_and_the_first_one_killed_frees_the_folder(fi
     out = tmp_path / "out"
     OutputFolder(out).prepare()
     program = (
-        "import sys, time\nfrom warpcage.batch.manifest import OutputFolder\n"
+        "import sys, time\nfrom warpcage.studio.jobs.manifest import OutputFolder\n"
         "with OutputFolder(sys.argv[1]).driven():\n    print('here', flush=True)\n    time.sleep(60)"
     )
     other = subprocess.Popen([sys.executable, "-c", program, str(out)], stdout=subprocess.PIPE)
@@ -167,7 +167,7 @@ def test_a_second_driver_is_refused_and_the_first_one_killed_frees_the_folder(fi
 
 
 def test_workers_of_a_driver_that_was_killed_are_waited_for(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.batch.manifest.PATIENCE", 0.2)
+    monkeypatch.setattr("warpcage.studio.jobs.manifest.PATIENCE", 0.2)
     folder = OutputFolder(tmp_path / "out")
     folder.prepare()
     with folder.worked_in():
@@ -182,7 +182,7 @@ def test_an_ended_run_goes_on_where_it_was(files, tmp_path, sign):
     """By one worker, which is the driver."""
     path, out = write_frames(tmp_path / "job", 250), tmp_path / "out"
     program = (
-        "import signal, sys\nfrom warpcage.cli import main\n"
+        "import signal, sys\nfrom warpcage.studio.cli import main\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\nsys.exit(main(sys.argv[1:]))"
     )
     words = ["run", path, "-o", out, "--device", "cpu", "--quiet"]
@@ -229,7 +229,7 @@ def test_a_field_that_changes_while_it_runs_is_read_again(files, tmp_path):
     folder, out = tmp_path / "job", tmp_path / "out"
     path = write_frames(folder, 4)
     from warpcage import VoxelField
-    from warpcage.batch import Fingerprints, JobFile, Worker
+    from warpcage.studio.jobs import Fingerprints, JobFile, Worker
 
     with JobFile(path) as job, Worker(folder, out, "cpu") as worker:
         prints, item = Fingerprints(folder), job.item(1)
@@ -249,7 +249,7 @@ import os, pathlib, subprocess, sys
 jobs, out = sys.argv[1:3]
 pathlib.Path(out).mkdir()
 subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={sys.argv[3]}", "tmpfs", out], check=True)
-from warpcage.cli import main
+from warpcage.studio.cli import main
 status = main(["run", jobs, "-o", out, "--device", "cpu", "--quiet"])
 files = [path for path in pathlib.Path(out, "shot").iterdir()]
 parts = [path.name for path in pathlib.Path(out).rglob("*") if path.is_file() and "parts" in path.parts]
@@ -283,7 +283,7 @@ def test_a_full_disk_ends_the_run_and_loses_nothing(tmp_path):
 READ_ONLY = """\
 import pathlib, subprocess, sys
 jobs, out = sys.argv[1:3]
-from warpcage.cli import main
+from warpcage.studio.cli import main
 subprocess.run(["mount", "--bind", out, out], check=True)
 subprocess.run(["mount", "-o", "remount,ro,bind", out], check=True)
 sys.exit(main(["run", jobs, "-o", out, "--device", "cpu", "--quiet"]))
@@ -301,8 +301,8 @@ def test_a_folder_that_is_read_only_is_refused(files, tmp_path):
 def test_notes_that_cannot_be_written_end_the_run(files, tmp_path, monkeypatch):
     out = tmp_path / "out"
     OutputFolder(out).prepare()
-    monkeypatch.setattr("warpcage.batch.engines.chunk_runner.run_name", lambda: "run")
-    monkeypatch.setattr("warpcage.batch.run.OutputFolder.merge", lambda folder: None)
+    monkeypatch.setattr("warpcage.studio.jobs.engines.chunk_runner.run_name", lambda: "run")
+    monkeypatch.setattr("warpcage.studio.jobs.run.OutputFolder.merge", lambda folder: None)
     (out / ".warpcage" / "notes" / "run-0.jsonl").symlink_to("/dev/full")
     report = run_with(files / "jobs.jsonl", out)
     assert "no space left on device" in report.halt and report.left == 12 and not report.failed
@@ -311,7 +311,7 @@ def test_notes_that_cannot_be_written_end_the_run(files, tmp_path, monkeypatch):
 def test_only_clusters_need_ray(files, tmp_path):
     """Processes of this machine do without, and without a guard around the program that starts them."""
     program = (
-        "import sys\nsys.modules['ray'] = None\nfrom warpcage.cli import main\n"
+        "import sys\nsys.modules['ray'] = None\nfrom warpcage.studio.cli import main\n"
         "words = ['run', sys.argv[1], '--device', 'cpu', '--quiet', '-o', sys.argv[2]]\n"
         "assert main([*words, '--workers', '2', '--item-timeout', '600']) == 0\n"
         "sys.exit(main([*words[:-1], sys.argv[2] + 'x', '--cluster', '127.0.0.1:6379']))"
@@ -360,8 +360,8 @@ def test_names_in_any_script(tmp_path):
 
 def test_progress_tells_how_far_it_is(files, tmp_path):
     states = []
-    report = warpcage.batch.run_jobs(files / "jobs.jsonl", tmp_path / "out", device="cpu", progress=states.append)
-    assert report.made == 12 and report.complete and warpcage.run_jobs is warpcage.batch.run_jobs
+    report = warpcage.studio.jobs.run_jobs(files / "jobs.jsonl", tmp_path / "out", device="cpu", progress=states.append)
+    assert report.made == 12 and report.complete and warpcage.run_jobs is warpcage.studio.jobs.run_jobs
     assert states[0].stage == "check" and states[-1].done == 12 and states[-1].total == 12
     done = [state.done for state in states if state.stage == "make"]
     assert done == sorted(done) and len(set(done)) > 2
@@ -420,7 +420,7 @@ def test_a_kill_while_a_shard_is_packed_loses_nothing(tmp_path, step):
     }[step]
     program = (
         "import os, pathlib, signal, sys, types\nsys.path.insert(0, sys.argv[3])\nfrom runs import run_with\n"
-        f"import warpcage.batch.{place} as place\n"
+        f"import warpcage.studio.jobs.{place} as place\n"
         "kill = lambda *given, **words: os.kill(os.getpid(), signal.SIGKILL)\n"
         f"place.{name} = {'types.SimpleNamespace(rmtree=kill)' if name == 'shutil' else 'kill'}\n"
         "run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
@@ -457,7 +457,7 @@ def test_a_kill_at_any_step_loses_nothing(files, tmp_path, step):
     path, out = files / "jobs.jsonl", tmp_path / "out"
     program = (
         "import os, pathlib, signal, sys\nsys.path.insert(0, sys.argv[3])\nfrom runs import run_with\n"
-        "import warpcage.batch.manifest as place\n"
+        "import warpcage.studio.jobs.manifest as place\n"
         "kill = lambda *given, **words: os.kill(os.getpid(), signal.SIGKILL)\n"
         f"{KILLS[step]}run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
     )
@@ -478,7 +478,7 @@ def test_a_shard_that_cannot_be_packed_is_told(tmp_path, monkeypatch):
                 raise RuntimeError("no tar today")
             return pack_shard(folder, shard, records)
 
-        patch.setattr("warpcage.batch.engines.chunk_runner.pack_shard", fails)
+        patch.setattr("warpcage.studio.jobs.engines.chunk_runner.pack_shard", fails)
         report = run_with(path, out)
     assert report.failed == {"shard-000001.tar": "RuntimeError: no tar today"} and report.made == 12
     assert run_with(path, out).complete and len(list(out.glob("*.tar"))) == 3 and left_over(out) == []

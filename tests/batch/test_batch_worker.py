@@ -18,8 +18,8 @@ from runs import run, write_files
 from splat_scenes import splats_in_box
 
 from warpcage import Cage, CageEdit, Camera, CameraFile, Deformer, Frame, PoseFile, SplatField, VoxelField, load_scene
-from warpcage.batch import MOST_DEFORMERS, PARTS, Fingerprints, Item, JobFile, Missing, Worker, write_array
 from warpcage.core import SPARE
+from warpcage.studio.jobs import MOST_DEFORMERS, PARTS, Fingerprints, Item, JobFile, Missing, Worker, write_array
 from warpcage.view import linear_light, read_image, write_picture
 
 CAMERAS = [Camera.look_at((2.5, 1.2 * side, 1.0), (0, 0, 0), width=40, height=32) for side in (-1, 1)]
@@ -96,7 +96,7 @@ def test_outputs_come_all_or_none(files, tmp_path, monkeypatch):
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("warpcage.batch.worker.write_array", fail)
+    monkeypatch.setattr("warpcage.studio.jobs.worker.write_array", fail)
     with Worker(files, tmp_path, "cpu") as worker:
         with pytest.raises(OSError, match="No space left"):
             worker.run(frame(outputs={"rgb": "a/rgb.png", "depth": "a/depth.npy"}))
@@ -297,7 +297,7 @@ def test_pictures_are_encoded_beside_rendering(files, tmp_path, monkeypatch):
     """The next frames are rendered while the first is written, and no more than a few wait."""
     go = threading.Event()
     monkeypatch.setattr(
-        "warpcage.batch.worker.write_picture", lambda path, image: go.wait(60) and write_picture(path, image)
+        "warpcage.studio.jobs.worker.write_picture", lambda path, image: go.wait(60) and write_picture(path, image)
     )
     with Worker(files, tmp_path, "cpu", encoders=1) as worker:
         waiting = [worker.submit(frame(f"f{index}")) for index in range(1 + SPARE)]

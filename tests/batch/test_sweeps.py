@@ -9,7 +9,8 @@ from messages import MESSAGES
 from runs import run, succeed, write_files
 
 from warpcage import Cage, Camera, CameraFile, PoseFile, RandomPoses, VoxelField, load_scene, run_jobs, turntable
-from warpcage.batch import (
+from warpcage.cage import POSE_MODES
+from warpcage.studio.jobs import (
     GivenSource,
     JobFile,
     RandomSource,
@@ -21,7 +22,6 @@ from warpcage.batch import (
     staged_shards,
     write_sweep,
 )
-from warpcage.cage import POSE_MODES
 
 SWEEP = ("sweep", "@ball.npz", "--cage", "@cage.obj", "--device", "cpu", "--quiet")
 
@@ -218,8 +218,8 @@ def test_a_forecast_counts_poses_once_for_all_of_their_cameras(
 ):
     words = ["--poses", "random:3", "--cameras", "@cameras.json", "--views", views, "-o", tmp_path / "sweep.jsonl"]
     succeed(files, *SWEEP, *words)
-    monkeypatch.setattr("warpcage.batch.worker.Worker", Counted)
-    monkeypatch.setattr("warpcage.batch.run.time.perf_counter", lambda: Counted.here.now)
+    monkeypatch.setattr("warpcage.studio.jobs.worker.Worker", Counted)
+    monkeypatch.setattr("warpcage.studio.jobs.run.time.perf_counter", lambda: Counted.here.now)
     found = foresee(tmp_path / "sweep.jsonl", tmp_path / "out", device="cpu")
     measured = found.measured["frame"]
     assert (measured.seconds, measured.pose_seconds, measured.load_seconds) == (seconds, posing, 5.0)
@@ -251,7 +251,7 @@ def test_of_many_random_poses_some_are_drawn_for_the_cameras(files, tmp_path, mo
     numbers, vertices = [], RandomPoses.vertices
     monkeypatch.setattr(RandomPoses, "vertices", lambda self, n: numbers.append((self.seed, n)) or vertices(self, n))
     words = ["--poses", "random:1000", "--seeds", 1, 2, "--views", 1, "-o", tmp_path / "sweep.jsonl"]
-    monkeypatch.setattr("warpcage.batch.sweeps.FRAMED", 6)
+    monkeypatch.setattr("warpcage.studio.jobs.sweeps.FRAMED", 6)
     succeed(files, *SWEEP, *words, "--cameras", "orbit:2")
     assert numbers == [(seed, number) for seed in (1, 2) for number in range(3)]
     numbers.clear()
@@ -260,7 +260,7 @@ def test_of_many_random_poses_some_are_drawn_for_the_cameras(files, tmp_path, mo
 
 
 def test_processes_draw_the_same_poses_in_their_order(monkeypatch):
-    monkeypatch.setattr("warpcage.batch.sweeps.WORTH_PROCESSES", 10)
+    monkeypatch.setattr("warpcage.studio.jobs.sweeps.WORTH_PROCESSES", 10)
     poses = RandomPoses(Cage.box([-1] * 3, [1] * 3), seed=6)
     found, expected = (list(RandomSource(poses, 11, True, count).rows()) for count in (2, 1))
     assert len(found) == 11 and np.array_equal(found, expected)

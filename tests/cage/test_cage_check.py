@@ -7,7 +7,7 @@ from oracles import shuffled_cage
 from refusals import refused
 
 from warpcage import Cage
-from warpcage.cli import main
+from warpcage.studio.cli import main
 
 
 def rod(segments=12):

@@ -7,7 +7,7 @@ from refusals import refused
 
 from warpcage import Cage
 from warpcage.cage import cut_matter, snap_to_gaps
-from warpcage.cli import main
+from warpcage.studio.cli import main
 
 #: Two blocks with a gap between them, x from 0.0 to 0.15, and a plate below both.
 BLOCKS = (([-0.8, -0.4, -0.3], [0.0, 0.4, 0.5]), ([0.15, -0.4, -0.3], [0.8, 0.4, 0.5]))

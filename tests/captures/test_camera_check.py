@@ -9,8 +9,8 @@ import pytest
 
 import warpcage
 from warpcage import Camera, Scene
-from warpcage.cli import main
 from warpcage.scene import camera_doubt
+from warpcage.studio.cli import main
 from warpcage.view.motion import axis_rotation
 
 

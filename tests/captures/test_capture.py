@@ -10,9 +10,9 @@ from scenes import camera_errors, found_poses, relative_errors, save_pictures, s
 from test_capture_video import turn_video
 
 import warpcage
-from warpcage.captures import scan_video
 from warpcage.mesh import read_ply
 from warpcage.reference import PhonePath, write_phone_video
+from warpcage.studio.captures import scan_video
 
 pytest.importorskip("pycolmap", minversion="4.2")
 

@@ -10,8 +10,8 @@ from test_capture_video import moving_pictures, write_video
 
 import warpcage
 from warpcage import Camera
-from warpcage.captures import Solver, expected_seconds, time_line
-from warpcage.cli import main
+from warpcage.studio.captures import Solver, expected_seconds, time_line
+from warpcage.studio.cli import main
 
 pycolmap = pytest.importorskip("pycolmap", minversion="4.2")
 

@@ -11,11 +11,11 @@ from test_capture_video import moving_pictures, write_video
 
 import warpcage
 from warpcage import Cage, Camera
-from warpcage.captures import FrameScores, pick_frames, still_features
-from warpcage.captures.feature_masks import masks_of, write_feature_masks
-from warpcage.captures.sources import read_sources
-from warpcage.captures.video import shrink_all
 from warpcage.reference import TEXTURE, CarriedMesh
+from warpcage.studio.captures import FrameScores, pick_frames, still_features
+from warpcage.studio.captures.feature_masks import masks_of, write_feature_masks
+from warpcage.studio.captures.sources import read_sources
+from warpcage.studio.captures.video import shrink_all
 
 pytest.importorskip("pycolmap", minversion="4.2")
 

@@ -11,7 +11,7 @@ from refusals import refused
 from scipy.ndimage import gaussian_filter
 from scipy.ndimage import shift as shifted
 
-from warpcage.captures import FrameScores, motion, pick_frames, scan_video, sharpness, write_frames
+from warpcage.studio.captures import FrameScores, motion, pick_frames, scan_video, sharpness, write_frames
 
 
 def turn_video(path, degrees):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from warpcage import capture
-from warpcage.captures import scan_video, write_frames
-from warpcage.captures.tones import light_of_hlg, light_of_pq, mapped_picture, pressed, srgb_of, transfer_of
+from warpcage.studio.captures import scan_video, write_frames
+from warpcage.studio.captures.tones import light_of_hlg, light_of_pq, mapped_picture, pressed, srgb_of, transfer_of
 
 TRC = {"HLG": 18, "PQ": 16}
 

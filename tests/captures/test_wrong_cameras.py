@@ -5,7 +5,7 @@ import pytest
 from correspondences import FOCAL, correspondences, inside_out, orbit, torn_in_two
 from refusals import refused
 
-from warpcage.captures import Solver, doubts, solve
+from warpcage.studio.captures import Solver, doubts, solve
 
 pycolmap = pytest.importorskip("pycolmap", minversion="4.2")
 

@@ -5,7 +5,7 @@ import pytest
 
 from warpcage import Cage, Camera, turntable
 from warpcage.cage import Preset, is_preset
-from warpcage.films import Keyframes, read_pose
+from warpcage.studio.films import Keyframes, read_pose
 from warpcage.view import cameras_along, frame_places, pose_along, pose_weights, value_along
 
 BOX = Cage.box([-1, -1, -1], [1, 1, 1], segments=2)

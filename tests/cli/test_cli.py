@@ -12,8 +12,8 @@ import warp as wp
 from runs import DEFORMED, run, succeed
 
 from warpcage import VoxelField
-from warpcage.cli import main
 from warpcage.core import warn_caller
+from warpcage.studio.cli import main
 from warpcage.view import read_image
 
 # Help and wrong input
@@ -29,7 +29,7 @@ def test_the_package_runs_as_a_module():
 
 @pytest.mark.filterwarnings("default")
 def test_warnings_take_one_line_without_a_place_in_the_source(capsys, monkeypatch):
-    monkeypatch.setattr("warpcage.cli.info.run_info", lambda arguments: warn_caller("the gap\n is narrow"))
+    monkeypatch.setattr("warpcage.studio.cli.info.run_info", lambda arguments: warn_caller("the gap\n is narrow"))
     assert main(["info"]) == 0
     assert capsys.readouterr().err == "warpcage: warning: the gap is narrow\n"
 
@@ -87,7 +87,7 @@ def test_folders_that_stayed_empty_go_again(tmp_path, monkeypatch):
         folder.mkdir(parents=True)
         raise ValueError("the disk is full")
 
-    monkeypatch.setattr("warpcage.cli.render.run_render", failing)
+    monkeypatch.setattr("warpcage.studio.cli.render.run_render", failing)
     assert main(["render", "ball.npz", "-o", str(folder / "ball.png")]) == 2
     assert not folder.parent.exists()
 
@@ -189,7 +189,7 @@ def test_interruption_leaves_nothing_and_status_130(files, capsys, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("warpcage.cli.scenes.fit", interrupted)
+    monkeypatch.setattr("warpcage.studio.cli.scenes.fit", interrupted)
     before = sorted(files.rglob("*"))
     assert run(files, "fit", "@scene", "-o", "@new.npz", "--quiet") == 130
     assert "Traceback" not in capsys.readouterr().err

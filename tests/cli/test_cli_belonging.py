@@ -11,9 +11,9 @@ from splat_scenes import ring, scene_of, true_field
 
 import warpcage
 from warpcage import SplatField
-from warpcage.cli import main
 from warpcage.render.belonging import SceneViews, mismatch
 from warpcage.scene.formats.transforms import read_frame
+from warpcage.studio.cli import main
 
 #: What nerfstudio's loader did to a dataset: the axes of its transforms.json, then its own turn, middle and scale.
 APPLIED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0.5], [0, 0, 0, 1]])

@@ -9,7 +9,7 @@ import trimesh
 from runs import succeed
 
 from warpcage import Cage, VoxelField
-from warpcage.cli import main
+from warpcage.studio.cli import main
 
 
 @pytest.mark.parametrize("ending", ["obj", "ply", "stl", "glb"])

@@ -110,7 +110,7 @@ def test_warp_that_gives_wrong_numbers(tmp_path):
 
 def test_the_demo_is_the_example_of_the_whole_way(tmp_path, monkeypatch):
     import warpcage.examples.render_lego as example
-    from warpcage.cli import main
+    from warpcage.studio.cli import main
 
     words = []
     monkeypatch.setattr(example, "main", lambda given: words.append(vars(example.parse_arguments(given))))

@@ -19,7 +19,7 @@ from editor_pages import BOX, WAIT, pages, tiny_field
 from runs import run
 
 from warpcage import Cage
-from warpcage.editor import Editor, read_session
+from warpcage.studio.editor import Editor, read_session
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ def test_a_port_that_is_taken_is_one_line(files, capsys):
 @pytest.mark.parametrize("missing", ["aiohttp", "simplejpeg"])
 def test_a_missing_extra_is_one_line_before_anything_is_made(files, capsys, monkeypatch, missing):
     monkeypatch.setitem(sys.modules, missing, None)
-    monkeypatch.setattr("warpcage.editor.demo.demo_files", lambda device: pytest.fail("the demo is made"))
+    monkeypatch.setattr("warpcage.studio.editor.demo.demo_files", lambda device: pytest.fail("the demo is made"))
     for words in (("@ball.npz",), ("--demo",)):
         assert edit(files, *words) == 2
         said = MESSAGES["editor.extra_missing"].format(missing=missing)
@@ -149,7 +149,7 @@ def test_the_demo_comes_from_the_cache_and_its_session_goes_into_the_current_fol
     (files / "ball.npz").rename(cache / "bricks.npz")
     (files / "cage.obj").rename(cache / "bricks_cage.obj")
     monkeypatch.setenv("WARPCAGE_CACHE", str(cache))
-    monkeypatch.setattr("warpcage.editor.demo.fit", lambda *_, **__: pytest.fail("the demo is fitted"))
+    monkeypatch.setattr("warpcage.studio.editor.demo.fit", lambda *_, **__: pytest.fail("the demo is fitted"))
     monkeypatch.chdir(files)
     for words in (("--demo",), ("--demo",), ("--demo", "--new")):
         assert run(files, "edit", *words, "--no-browser") == 0
@@ -179,7 +179,7 @@ def test_a_browser_is_opened_or_the_reader_is_told(files, opened, capsys, monkey
 PROGRAM = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs ignore it
-from warpcage.cli import main
+from warpcage.studio.cli import main
 sys.exit(main(sys.argv[1:]))
 """
 

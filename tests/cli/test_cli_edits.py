@@ -10,11 +10,11 @@ from messages import MESSAGES
 from runs import SMALL, run, succeed, write_files
 
 from warpcage import Cage, CageEdit, Camera, Deformer, PoseFile, VoxelField
-from warpcage.cli.program import build_parser
-from warpcage.cli.shared import parse_edit
-from warpcage.editor import Document, Selection, Settings, Timeline, View, new_edit, write_session
 from warpcage.edits import EditWords
-from warpcage.films import read_edits_file, write_edits_file
+from warpcage.studio.cli.program import build_parser
+from warpcage.studio.cli.shared import parse_edit
+from warpcage.studio.editor import Document, Selection, Settings, Timeline, View, new_edit, write_session
+from warpcage.studio.films import read_edits_file, write_edits_file
 from warpcage.view import read_image
 
 VIEW = (*SMALL, "--eye", 0, -4, 0.5, "--target", 0, 0, 0, "--background", "white")

@@ -346,8 +346,8 @@ def test_several_poses_make_a_picture_each(files, tmp_path, capsys):
 @pytest.mark.parametrize(("size", "more", "cells"), [(8, [], 64), (403, [], 96), (900, [], 128), (8, ["40"], 40)])
 def test_the_lattice_follows_the_size_of_the_picture(size, more, cells):
     from warpcage import Camera
-    from warpcage.cli.program import build_parser
-    from warpcage.cli.shared import lattice_cells, set_lattice
+    from warpcage.studio.cli.program import build_parser
+    from warpcage.studio.cli.shared import lattice_cells, set_lattice
 
     given = ["--resolution", *more] if more else []
     args = build_parser().parse_args(["render", "f.npz", "-o", "x.png", *given])

@@ -5,7 +5,7 @@ import pytest
 from scene_writers import brick_pictures, write_colmap, write_dtu, write_nsvf, write_transforms
 
 from warpcage import Cage, PoseFile, VoxelField, load_scene
-from warpcage.cli import main
+from warpcage.studio.cli import main
 from warpcage.view import read_image
 
 

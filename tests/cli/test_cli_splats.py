@@ -5,8 +5,8 @@ import pytest
 from splat_scenes import splats_in_box
 
 import warpcage
-from warpcage.batch import JobFile, Worker
-from warpcage.cli import main
+from warpcage.studio.cli import main
+from warpcage.studio.jobs import JobFile, Worker
 
 
 @pytest.fixture

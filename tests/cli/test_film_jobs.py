@@ -7,7 +7,7 @@ import pytest
 from runs import DEFORMED, SMALL, run, succeed, write_files
 
 from warpcage import Cage, PoseFile
-from warpcage.batch import JobFile, Worker
+from warpcage.studio.jobs import JobFile, Worker
 
 FILM = ("--frames", 5, "--quiet", *SMALL)
 
@@ -120,7 +120,7 @@ def test_a_job_file_that_cannot_be_leaves_nothing(files, tmp_path, capsys, words
 
 
 def test_a_pose_that_cannot_be_leaves_the_job_file_of_before(files, tmp_path, capsys, monkeypatch):
-    from warpcage.films import Timeline
+    from warpcage.studio.films import Timeline
 
     words = ["animate", "@ball.npz", *FILM, *DEFORMED, "--jobs", tmp_path / "film.jsonl"]
     succeed(files, *words)

@@ -9,7 +9,7 @@ import pytest
 from messages import MESSAGES
 from runs import DEFORMED, SMALL, run, succeed
 
-import warpcage.batch.films as films
+import warpcage.studio.jobs.films as films
 from warpcage import Deformer
 from warpcage.view import deep_pixels, read_film_frame, write_film_frame, write_png
 

@@ -48,7 +48,7 @@ def test_a_film_that_fails_at_its_first_frame_leaves_the_folder_as_it_was(files,
         patch.setattr(Deformer, "render", fail)
         assert run(files, *words) == 2
     assert listing(folder) == ["mine.txt"]
-    monkeypatch.setattr("warpcage.films.render.write_picture", fail)  # rendered, but not written
+    monkeypatch.setattr("warpcage.studio.films.render.write_picture", fail)  # rendered, but not written
     assert run(files, *words) == 2
     assert listing(folder) == ["mine.txt"]
 

@@ -24,12 +24,12 @@ import numpy as np
 
 import warpcage
 from warpcage import Cage, Camera, CameraFile, NodeSelection, PoseFile, SplatField, VoxelField
-from warpcage.batch.job_file import JobFile, write_jobs
 from warpcage.cage.pose_file import gltf_poses
-from warpcage.cli import main
-from warpcage.editor import read_session as session_document
-from warpcage.editor import write_session as write_document
 from warpcage.fitting import load_progress, save_progress
+from warpcage.studio.cli import main
+from warpcage.studio.editor import read_session as session_document
+from warpcage.studio.editor import write_session as write_document
+from warpcage.studio.jobs.job_file import JobFile, write_jobs
 from warpcage.view import read_exr as exr_parts
 from warpcage.view import read_film_frame, write_film_frame
 from warpcage.view.camera_path import RefinedCameras

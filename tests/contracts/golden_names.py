@@ -8,7 +8,7 @@ import re
 from unittest import mock
 
 import warpcage
-from warpcage.cli import main
+from warpcage.studio.cli import main
 
 #: How parameters are given: by place or name, by name, by place, and any number of them.
 KINDS = {

@@ -11,8 +11,8 @@ from splat_scenes import field_of, loaded, some_splats, zstd
 
 import warpcage
 from warpcage import Camera, Scene, SplatField, SurfaceMesh, VoxelField
-from warpcage.cli import main
 from warpcage.field import LayeredBackground
+from warpcage.studio.cli import main
 from warpcage.view import linear_light, read_exr, read_image, write_film, write_jpeg, write_picture, write_png
 
 

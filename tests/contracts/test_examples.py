@@ -19,8 +19,8 @@ from splat_scenes import splats_in_box
 
 import warpcage
 from warpcage import Cage, Camera, Deformer, VoxelField
-from warpcage.cli import main
 from warpcage.reference import box, brick_model, cylinder, joined, render_mesh_views
+from warpcage.studio.cli import main
 from warpcage.view import read_image
 
 EXAMPLES = pathlib.Path(__file__).resolve().parents[2] / "examples"

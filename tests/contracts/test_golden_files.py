@@ -9,7 +9,7 @@ import pytest
 from golden_cases import CASES, SAID, WRITTEN
 
 import warpcage
-from warpcage.batch.webdataset import read_shard, shard_path, shard_stage
+from warpcage.studio.jobs.webdataset import read_shard, shard_path, shard_stage
 
 EXPECTED = golden_cases.expected()
 

@@ -31,7 +31,6 @@ from hostile import (
 from refusals import peak_of, refused
 
 from warpcage import FieldOptimizer, SplatField, VoxelField
-from warpcage.cli.cages import read_mesh as read_object
 from warpcage.core import (
     UNKNOWN,
     MemoryShortage,
@@ -46,6 +45,7 @@ from warpcage.field import io as field_files
 from warpcage.fitting import NAMES, load_progress, scene_digest
 from warpcage.mesh import polygons, read_mesh
 from warpcage.mesh.io import gltf
+from warpcage.studio.cli.cages import read_mesh as read_object
 
 # The budget
 

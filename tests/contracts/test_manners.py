@@ -18,8 +18,8 @@ import warp as wp
 from messages import MESSAGES
 
 import warpcage
-from warpcage.cli import main
 from warpcage.core import atomic_path
+from warpcage.studio.cli import main
 from warpcage.view import read_image
 
 
@@ -32,7 +32,7 @@ def child(code, *words, options=(), **more):
 @pytest.fixture
 def command(monkeypatch):
     """Makes `warpcage info` do something else."""
-    return lambda action: monkeypatch.setattr("warpcage.cli.info.run_info", lambda arguments: action())
+    return lambda action: monkeypatch.setattr("warpcage.studio.cli.info.run_info", lambda arguments: action())
 
 
 def fails(error):
@@ -49,12 +49,12 @@ def test_names_and_help_load_neither_numpy_nor_warp():
     done = child(
         """
         import contextlib, io, sys
-        import warpcage, warpcage.cli
-        from warpcage.cli.program import COMMANDS
+        import warpcage, warpcage.studio.cli
+        from warpcage.studio.cli.program import COMMANDS
         assert set(warpcage.__all__) < set(dir(warpcage)) and warpcage.__version__
         for words in [[], *([name] for name in COMMANDS)]:
             with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.suppress(SystemExit):
-                warpcage.cli.main([*words, "--help"])
+                warpcage.studio.cli.main([*words, "--help"])
             assert "usage: warpcage" in text.getvalue()
         heavy = {"warp", "numpy", "imageio", "av", "PIL", "trimesh", "scipy", "skimage", "tqdm"} & set(sys.modules)
         assert not heavy, heavy
@@ -81,7 +81,9 @@ def test_names_behave_as_if_they_were_imported():
 # Interrupts and signals
 
 
-@pytest.mark.parametrize("module", ["warpcage.cli.arguments", "warpcage.cli.arguments.scenes", "numpy", "warp"])
+@pytest.mark.parametrize(
+    "module", ["warpcage.studio.cli.arguments", "warpcage.studio.cli.arguments.scenes", "numpy", "warp"]
+)
 def test_an_interrupt_while_the_program_starts_leaves_no_traceback(module):
     done = child(
         """
@@ -93,7 +95,7 @@ def test_an_interrupt_while_the_program_starts_leaves_no_traceback(module):
 
         signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs ignore it
         sys.addaudithook(interrupt)
-        from warpcage.cli import main
+        from warpcage.studio.cli import main
         sys.exit(main(["info"]))
         """,
         module,
@@ -225,7 +227,7 @@ def test_closed_descriptors_lose_messages_and_nothing_else(tmp_path):
     """The next file that is opened would get the number of the closed one, and what Warp prints would end in it."""
     code = """
         import os, sys, types
-        import warpcage.cli
+        import warpcage.studio.cli
 
         def run_info(arguments):
             with open(sys.argv[1], "w") as file:
@@ -234,8 +236,8 @@ def test_closed_descriptors_lose_messages_and_nothing_else(tmp_path):
                 os.write(1, b"from a library")
                 file.write("results")
 
-        sys.modules["warpcage.cli.info"] = types.SimpleNamespace(run_info=run_info)
-        sys.exit(warpcage.cli.main(["info"]))
+        sys.modules["warpcage.studio.cli.info"] = types.SimpleNamespace(run_info=run_info)
+        sys.exit(warpcage.studio.cli.main(["info"]))
     """
     out = tmp_path / "out.txt"
     done = child(code, out, preexec_fn=lambda: [os.close(number) for number in range(3)])
@@ -255,7 +257,7 @@ def test_a_command_works_in_a_poor_place(tmp_path):
     code = """
         import os, resource, sys
         resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
-        from warpcage.cli import main
+        from warpcage.studio.cli import main
         words = "render ball.npz --cage cage.obj --posed posed.obj --size 16 --coordinates mean_value --resolution 12"
         words = [*words.split(), "--device", "cpu", "--out", "frame.png"]
         refused = main(words), os.path.exists("frame.png")

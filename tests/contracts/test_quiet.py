@@ -8,13 +8,13 @@ import sys
 import numpy as np
 
 import warpcage
-from warpcage.cli import main
 from warpcage.core import modules, reports
+from warpcage.studio.cli import main
 
 #: Most of what a program does first: a pose and a frame, a cage; and a command.
 PROGRAM = """
 import sys, numpy as np, warpcage
-from warpcage.cli import main
+from warpcage.studio.cli import main
 field = warpcage.VoxelField.from_dense(np.full((6, 6, 6), 5.0), np.zeros((6, 6, 6, 9, 3)), [[-1] * 3, [1] * 3])
 field.save("field.npz")
 cage = warpcage.Cage.box([-0.9] * 3, [0.9] * 3)

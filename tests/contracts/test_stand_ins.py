@@ -6,9 +6,9 @@ from hostile import put, whole
 from refusals import refused
 
 from warpcage import Cage, Camera, CameraFile, NodeSelection, PoseFile, SplatField, VoxelField, capture, load_scene
-from warpcage.captures import scan_video
-from warpcage.cli import main
 from warpcage.core import NpyFile
+from warpcage.studio.captures import scan_video
+from warpcage.studio.cli import main
 from warpcage.view import read_exr, read_image
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"4d7a2146" * 8 + b"\nsize 123456\n"

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from warpcage.cli import main
 from warpcage.core import reports
+from warpcage.studio.cli import main
 
 STAGES = """
 from warpcage.core import reports

@@ -8,8 +8,8 @@ import textwrap
 
 import pytest
 
-from warpcage.cli import main
 from warpcage.core import reports
+from warpcage.studio.cli import main
 
 PROGRAM = """
     import warp as wp

@@ -18,7 +18,6 @@ from messages import MESSAGES
 from refusals import refused
 
 import warpcage
-from warpcage.cli import main
 from warpcage.core import (
     FOLDER,
     MOVED,
@@ -37,6 +36,7 @@ from warpcage.core import (
 from warpcage.kernels.coordinates.mean_value import map_mean_value
 from warpcage.kernels.mesh.fans import prepare_fans
 from warpcage.kernels.render.views import view_kernel
+from warpcage.studio.cli import main
 
 NAMES = kernel_names()
 GROUPS = kernel_groups()

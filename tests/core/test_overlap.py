@@ -16,7 +16,7 @@ from runs import DEFORMED, SMALL, run, succeed
 import warpcage.view.film as film
 from warpcage import Deformer
 from warpcage.core import SPARE, BackgroundWriter, stream
-from warpcage.films import render as commands
+from warpcage.studio.films import render as commands
 from warpcage.view import write_film
 
 #: Seconds until a test that hangs fails.

@@ -5,9 +5,9 @@ import pytest
 from refusals import refused
 
 from warpcage import Cage, SplatField, deform_points, harmonic_coordinates
-from warpcage.cli import main
 from warpcage.core import agreed, counted
 from warpcage.mesh import MeshTopology
+from warpcage.studio.cli import main
 
 BOX = Cage.box((-1, -1, -1), (1, 1, 1))
 

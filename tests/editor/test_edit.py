@@ -16,8 +16,8 @@ aiohttp = pytest.importorskip("aiohttp")
 from editor_pages import BOX, new_session, pages, served, tiny_field
 
 from warpcage import Cage, edit
-from warpcage.editor import Document, Session, new_document, read_session
-from warpcage.editor import edit as edit_module
+from warpcage.studio.editor import Document, Session, new_document, read_session
+from warpcage.studio.editor import edit as edit_module
 
 REST = BOX.vertices
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from warpcage import Cage
 from warpcage.core import error_line
-from warpcage.editor import (
+from warpcage.studio.editor import (
     COMMANDS,
     DEPTH,
     MAX_ID,

@@ -12,9 +12,8 @@ from messages import MESSAGES
 from runs import write_files
 
 from warpcage import Cage, CageEdit, Camera, Deformer, PoseFile, VoxelField
-from warpcage.batch import JobFile, Worker
-from warpcage.cli import main
-from warpcage.editor import (
+from warpcage.studio.cli import main
+from warpcage.studio.editor import (
     Cancelled,
     Document,
     Film,
@@ -39,8 +38,9 @@ from warpcage.editor import (
     view_camera,
     write_session,
 )
-from warpcage.editor.pictures import scene as scene_module
-from warpcage.films import Look, atomic_folder
+from warpcage.studio.editor.pictures import scene as scene_module
+from warpcage.studio.films import Look, atomic_folder
+from warpcage.studio.jobs import JobFile, Worker
 
 VIEW = View((2.5, 1.2, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)
 BENT, TWISTED = BOX.bend(40, axis="x", towards="z"), BOX.twist(50, axis="x")

@@ -6,7 +6,8 @@ from fields import BOX, ellipsoid, make_field, plain
 
 from warpcage import Cage
 from warpcage.cage import check_pose
-from warpcage.editor import (
+from warpcage.field import visible_nodes
+from warpcage.studio.editor import (
     Document,
     Inspector,
     Selection,
@@ -18,7 +19,6 @@ from warpcage.editor import (
     inspector,
     new_edit,
 )
-from warpcage.field import visible_nodes
 
 VIEW = View((3.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)
 ALL_IS_WELL = ["All is well: the cage holds all that is visible, and nothing is turned inside out."]

@@ -6,7 +6,7 @@ import pytest
 from messages import MESSAGES
 
 from warpcage.core import atomic_path
-from warpcage.editor import MAX_JOBS, MAX_UNFINISHED, Jobs, Outcome
+from warpcage.studio.editor import MAX_JOBS, MAX_UNFINISHED, Jobs, Outcome
 
 WAIT = 20.0
 

@@ -18,8 +18,8 @@ from editor_pages import new_session, pages, tiny_field, with_pages
 
 import warpcage
 from warpcage import Cage, PoseFile, VoxelField, deform_points, edit
-from warpcage.editor import COMMANDS, History, frozen_vertices, losses, read_history, replace_cage
-from warpcage.editor.steps import history
+from warpcage.studio.editor import COMMANDS, History, frozen_vertices, losses, read_history, replace_cage
+from warpcage.studio.editor.steps import history
 
 __all__ = ["editor", "window"]  # fixtures
 

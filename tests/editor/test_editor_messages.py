@@ -16,8 +16,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from warpcage import Cage
-from warpcage.editor import COMMANDS, Document, server
-from warpcage.editor.web import clients
+from warpcage.studio.editor import COMMANDS, Document, server
+from warpcage.studio.editor.web import clients
 
 REST = BOX.vertices
 

@@ -19,9 +19,9 @@ from page_probe import projected
 from scenes import LAMP, TableScene
 
 import warpcage
-from warpcage.cli import main
-from warpcage.editor import View, checked_view, view_camera
 from warpcage.field import harmonics_on_host
+from warpcage.studio.cli import main
+from warpcage.studio.editor import View, checked_view, view_camera
 
 __all__ = ["editor", "window"]  # fixtures
 

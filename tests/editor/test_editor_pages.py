@@ -18,8 +18,8 @@ from scenes import LAMP, TableScene
 
 from warpcage import Cage
 from warpcage.cage import UpAxis
-from warpcage.editor import Document, Session, inspection, new_document, read_session, server, tasks, view_camera
-from warpcage.editor.web import clients
+from warpcage.studio.editor import Document, Session, inspection, new_document, read_session, server, tasks, view_camera
+from warpcage.studio.editor.web import clients
 
 REST = BOX.vertices
 
@@ -479,7 +479,7 @@ def held():
 @pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="counts files in /proc")
 def test_a_thousand_drags_leave_threads_files_and_memory_flat(tmp_path, monkeypatch):
     monkeypatch.setattr(clients, "MESSAGE_BURST", 1e9)
-    monkeypatch.setattr("warpcage.editor.steps.history.DEPTH", 200)
+    monkeypatch.setattr("warpcage.studio.editor.steps.history.DEPTH", 200)
 
     async def test(host, page, other):
         for count in range(1000):

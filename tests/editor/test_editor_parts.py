@@ -10,7 +10,7 @@ import pytest
 from editor_browser import CAGE, Window, editor, looks_cheap, on_page, settle, until, window
 from scenes import LAMP, TableScene
 
-from warpcage.editor import view_camera
+from warpcage.studio.editor import view_camera
 from warpcage.view import eased_share
 
 __all__ = ["editor", "window"]  # fixtures

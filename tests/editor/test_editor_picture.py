@@ -12,7 +12,7 @@ from fields import INSIDE, NUB, PART, boxes, make_field, plain, shiny_field, sur
 
 import warpcage
 from warpcage import Cage, Frame
-from warpcage.editor import (
+from warpcage.studio.editor import (
     COARSE_CELLS,
     FRAME,
     LEAST_SIDE,
@@ -29,7 +29,7 @@ from warpcage.editor import (
     same_pose,
     view_camera,
 )
-from warpcage.editor.pictures import renderer as renderer_module
+from warpcage.studio.editor.pictures import renderer as renderer_module
 
 simplejpeg = pytest.importorskip("simplejpeg")
 

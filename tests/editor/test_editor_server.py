@@ -11,7 +11,7 @@ pytest.importorskip("hypothesis")
 from editor_pages import BOX, WAIT, new_session, run, status, with_pages
 from editor_pages import nothing_logged as _nothing_logged  # noqa: F401 (a fixture for all tests)
 
-from warpcage.editor import server
+from warpcage.studio.editor import server
 
 REST = BOX.vertices
 

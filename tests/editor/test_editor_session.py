@@ -21,8 +21,8 @@ from runs import SUPPORT
 
 from warpcage import VoxelField, edit
 from warpcage.cage import poses
-from warpcage.editor import file_stamp, free_session_path, read_session, session_path, write_session
-from warpcage.editor import session as session_module
+from warpcage.studio.editor import file_stamp, free_session_path, read_session, session_path, write_session
+from warpcage.studio.editor import session as session_module
 
 REST = BOX.vertices
 ME, YOU = object(), object()
@@ -319,7 +319,7 @@ def test_a_full_disk_while_saving_loses_nothing_and_is_told(tmp_path, monkeypatc
 
 
 def test_pages_are_told_that_the_disk_is_full_and_that_it_is_not(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.editor.server.SAVE_SECONDS", 0.01)
+    monkeypatch.setattr("warpcage.studio.editor.server.SAVE_SECONDS", 0.01)
     path = tmp_path / "ball.session.json"
 
     async def test(host, page):
@@ -371,7 +371,7 @@ def test_a_file_that_was_deleted_is_written_again(tmp_path):
 
 
 def test_pages_are_told_when_another_program_wrote_the_file(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.editor.server.SAVE_SECONDS", 0.01)
+    monkeypatch.setattr("warpcage.studio.editor.server.SAVE_SECONDS", 0.01)
     path = tmp_path / "ball.session.json"
 
     async def test(host, page):
@@ -410,7 +410,7 @@ def test_several_threads_that_save_do_not_take_each_other_for_another_program(tm
 
 
 def test_a_session_is_saved_while_its_film_plays(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.editor.server.SAVE_SECONDS", 0.01)
+    monkeypatch.setattr("warpcage.studio.editor.server.SAVE_SECONDS", 0.01)
     path = tmp_path / "ball.session.json"
 
     async def test(host, page):
@@ -473,8 +473,8 @@ sys.path.insert(0, sys.argv[1])
 import warp
 import warpcage
 import editor_pages
-import warpcage.editor.server
-warpcage.editor.server.SAVE_SECONDS = 0.05
+import warpcage.studio.editor.server
+warpcage.studio.editor.server.SAVE_SECONDS = 0.05
 editor_pages.tiny_field().save(sys.argv[2] + "/ball.npz")
 editor = warpcage.edit(sys.argv[2] + "/ball.npz", editor_pages.BOX)
 print(editor.url, flush=True)

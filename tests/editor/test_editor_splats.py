@@ -13,8 +13,8 @@ from splat_scenes import CUP, CUP_AT, CUP_HEIGHT, CUP_RADIUS, FLOATER, TABLE_TOP
 
 import warpcage
 from warpcage import Deformer, SplatField
-from warpcage.editor import PosedScene, Session, export_baked, inspect, new_document, view_camera
 from warpcage.splats import field_size, load_field
+from warpcage.studio.editor import PosedScene, Session, export_baked, inspect, new_document, view_camera
 
 
 @pytest.fixture(scope="module")

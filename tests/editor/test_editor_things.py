@@ -11,7 +11,9 @@ from editor_pages import BOX, new_session, nothing_logged, tiny_field, with_page
 import warpcage
 from warpcage import Place, SplatField, Stage, SurfaceMesh
 from warpcage.core.arrays import box_corners
-from warpcage.editor import (
+from warpcage.field import harmonics_on_host
+from warpcage.mesh import write_shown_mesh
+from warpcage.studio.editor import (
     MAIN,
     Document,
     Fields,
@@ -33,8 +35,6 @@ from warpcage.editor import (
     with_new_thing,
     write_session,
 )
-from warpcage.field import harmonics_on_host
-from warpcage.mesh import write_shown_mesh
 
 __all__ = ["nothing_logged"]  # a fixture
 

@@ -11,7 +11,7 @@ from messages import MESSAGES
 
 from warpcage import Cage, Camera, CameraKey, PoseFile
 from warpcage.core import EASINGS
-from warpcage.editor import (
+from warpcage.studio.editor import (
     Document,
     Key,
     Selection,

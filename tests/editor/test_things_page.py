@@ -13,8 +13,8 @@ from editor_pages import tiny_field
 from page_probe import projected
 
 import warpcage
-from warpcage.editor import MAIN, film_pictures
-from warpcage.editor import Film as PlainFilm
+from warpcage.studio.editor import MAIN, film_pictures
+from warpcage.studio.editor import Film as PlainFilm
 
 __all__ = ["editor", "window"]  # fixtures
 

@@ -15,10 +15,10 @@ from scenes import room_cameras, room_scene, write_room
 
 import warpcage
 from warpcage import FieldOptimizer, mean_psnr
-from warpcage.cli import main
 from warpcage.field import LayeredBackground, surface_node_count
 from warpcage.fitting import Silhouettes, chosen_background, keep_seen, load_progress, save_progress
 from warpcage.kernels.fitting import background_loss
+from warpcage.studio.cli import main
 from warpcage.view import read_image
 
 

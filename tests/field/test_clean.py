@@ -5,9 +5,9 @@ import pytest
 from scenes import FRAGMENT, TableScene
 
 from warpcage import Camera, VoxelField
-from warpcage.cli import main
 from warpcage.field import CleanOptions, clean_voxels
 from warpcage.field.clean import voxel_weights
+from warpcage.studio.cli import main
 
 
 @pytest.fixture(scope="module")

@@ -175,7 +175,7 @@ def test_a_folder_goes_on_after_an_interrupt(deformer, field, tmp_path):
 
 
 def test_frames_that_are_equal_are_rendered_once(deformer, tmp_path, monkeypatch):
-    from warpcage.films import Look
+    from warpcage.studio.films import Look
 
     render, count = Look.render, []
     monkeypatch.setattr(Look, "render", lambda *words, **options: count.append(1) or render(*words, **options))

@@ -9,10 +9,10 @@ from scenes import room_cameras, room_scene, write_room
 
 import warpcage
 from warpcage import FieldOptimizer, Scene, mean_psnr
-from warpcage.cli import main
 from warpcage.field import OuterField
 from warpcage.fitting import load_progress, save_progress
 from warpcage.fitting import optimizer as optimizer_module
+from warpcage.studio.cli import main
 from warpcage.view import read_image
 
 SMALL = {"resolution": 32, "levels": 2, "epochs": 6, "batch_rays": 1024, "background": "outer"}

@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 
 import warpcage
 from warpcage import CameraFile, FieldOptimizer, evaluate, mean_psnr
-from warpcage.cli import main
 from warpcage.fitting import CameraRefinement, load_progress, save_progress, tuned_scene
 from warpcage.fitting import cameras as cameras_module
 from warpcage.reference import synthetic_scene, write_brick_scene
+from warpcage.studio.cli import main
 from warpcage.view import picture_similarity
 
 #: Fits of a second or two.

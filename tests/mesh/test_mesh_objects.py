@@ -12,9 +12,9 @@ from runs import run, succeed, write_files
 from scene_writers import GltfWriter
 
 from warpcage import Cage, PoseFile
-from warpcage.cli.cages import read_mesh as read_object
 from warpcage.mesh import MeshFormat, mesh_formats
 from warpcage.mesh.io import object_names
+from warpcage.studio.cli.cages import read_mesh as read_object
 
 BALL = Cage.icosphere((0, 0, 0), 1.0, 1)
 BOX = Cage.box((2, 0, 0), (3, 1, 2))

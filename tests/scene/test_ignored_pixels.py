@@ -13,11 +13,11 @@ from splat_scenes import ring, scene_of, true_field
 
 import warpcage
 from warpcage import FieldOptimizer, evaluate, load_scene, mean_psnr, psnr
-from warpcage.cli import main
 from warpcage.core import resolve_device
 from warpcage.fitting import PictureRays, Silhouettes, load_progress, save_progress, ssim
 from warpcage.fitting.batches import counted_tile_size
 from warpcage.fitting.level import Level
+from warpcage.studio.cli import main
 from warpcage.view.camera import camera_array
 from warpcage.view.pictures import shrink, shrink_weights
 

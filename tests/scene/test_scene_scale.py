@@ -8,10 +8,10 @@ import pytest
 from scene_writers import brick_pictures, write_nsvf
 
 from warpcage import Cage, Camera, Deformer, Scene, SplatField, VoxelField, bake, fit, load_scene, to_splats, turntable
-from warpcage.cli import main
 from warpcage.core import resolve_device
 from warpcage.fitting import object_bounds
 from warpcage.scene import find_box
+from warpcage.studio.cli import main
 
 FAR = np.array([1e4, -2e4, 3e4])
 WORLDS = {

@@ -8,10 +8,10 @@ from refusals import refused
 from splat_scenes import CUP, FLOATER, TABLE, joined, one_splat, place, place_camera
 
 from warpcage import Cage, NodeSelection, SplatField
-from warpcage.cli import main
 from warpcage.field import CleanOptions
 from warpcage.splats import clean_splats
 from warpcage.splats.clean import views_of_splats
+from warpcage.studio.cli import main
 from warpcage.view.pictures import read_image
 
 FAINT = 50

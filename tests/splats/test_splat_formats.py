@@ -17,8 +17,8 @@ from refusals import refused
 from splat_scenes import DATA, SH_0, SH_1, VALUES, field_of, loaded, needs_data, require_usd, some_splats, zstd
 
 import warpcage
-from warpcage.cli import main
 from warpcage.splats import SplatContents, SplatFormat, is_splat_file, splat_formats
+from warpcage.studio.cli import main
 
 #: Where x, y and z point in the coordinate systems of SPZ, by their numbers from 1 on.
 SYSTEMS = "LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split()

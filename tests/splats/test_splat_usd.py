@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from splat_scenes import field_of, loaded, require_usd, some_splats
 
 import warpcage
-from warpcage.cli import main
 from warpcage.splats import is_splat_file, rotation_matrices
+from warpcage.studio.cli import main
 
 require_usd()
 from pxr import Gf, Usd, UsdGeom, UsdVol, Vt

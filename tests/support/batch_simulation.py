@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from warpcage.batch import Answer, Chunk, ChunkReport
+from warpcage.studio.jobs import Answer, Chunk, ChunkReport
 
 
 @dataclasses.dataclass

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from warpcage import Cage, VoxelField
-from warpcage.editor import Server, Session, new_document
 from warpcage.field import LayeredBackground, harmonics_on_host
+from warpcage.studio.editor import Server, Session, new_document
 
 WAIT = 30.0
 BOX = Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7))

@@ -25,9 +25,9 @@ from scenes import blob_scene
 from splat_scenes import require_usd, some_splats, zstd
 
 import warpcage
-from warpcage.batch import JobFile, write_jobs
 from warpcage.field import LayeredBackground, OuterField
 from warpcage.fitting import load_progress, save_progress
+from warpcage.studio.jobs import JobFile, write_jobs
 from warpcage.view import read_image
 
 #: Bytes that reading a damaged file of some kilobytes may take: of the process, and of Python and NumPy.

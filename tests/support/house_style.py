@@ -358,7 +358,7 @@ def paths_that_users_know_stay():
             meant = "dict" if name.isupper() else "class" if name[0].isupper() else "function"
             if kind_of(thing) != meant or (name in warpcage.__all__ and thing is not getattr(warpcage, name)):
                 yield f"{module}.{name}"
-    for name in ("warpcage.__main__", "warpcage.cli.__main__"):  # the program starts by both names
+    for name in ("warpcage.__main__", "warpcage.studio.cli.__main__"):  # the program starts by both names
         if importlib.util.find_spec(name) is None:
             yield name
 

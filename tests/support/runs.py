@@ -7,9 +7,9 @@ import sys
 import numpy as np
 
 from warpcage import Cage, VoxelField, run_jobs
-from warpcage.batch import write_jobs
-from warpcage.cli import main
 from warpcage.reference import write_brick_scene
+from warpcage.studio.cli import main
+from warpcage.studio.jobs import write_jobs
 
 #: Where helpers are, for processes that tests start.
 SUPPORT = str(pathlib.Path(__file__).parent)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from splat_scenes import splats_in_box
 
 from warpcage import Camera, CameraFile, VoxelField, render_film
-from warpcage.batch import run_jobs
+from warpcage.studio.jobs import run_jobs
 from warpcage.view import read_image
 
 POINTS = np.random.default_rng(5).uniform(-0.4, 0.4, (20, 3))

@@ -1,9 +1,0 @@
-"""`python -m warpcage.cli`: the same as the `warpcage` script."""
-
-from __future__ import annotations
-
-import sys
-
-from . import main
-
-sys.exit(main())

@@ -1,0 +1,308 @@
+"""`warpcage animate`: a film, a folder of its frames, or a job file of them."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import pathlib
+import shlex
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...cage.pose_file import USUAL_RATE, PoseFile
+from ...core.files import check_parent, require_file
+from ...core.names import TRANSPARENT, counted
+from ...core.reports import bar
+from ...edits.place import PlaceFile
+from ...errors import InputError
+from ...field.voxel_field import VoxelField
+from ...view import motion
+from ...view.camera import Camera
+from ...view.film import checked_rate
+from ..editor.document import Document
+from ..editor.exports import DEFAULT_SIZE, export_film, film_look
+from ..editor.exports import Film as SessionFilm
+from ..editor.pictures.scene import view_camera
+from ..editor.session import read_session
+from ..editor.things import read_fields, require_alone
+from ..editor.timeline import document_at, frame_rate, frame_times
+from ..films.edits import Deformation
+from ..films.film import Film
+from ..films.folder import checked_film_path
+from ..films.render import require_voxels
+from ..films.timeline import MovingScene, Timeline
+from ..jobs.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs, frame_words
+from ..jobs.items import ID
+from . import shared
+from .arguments import options
+from .arguments.render import OF_SESSIONS, Default
+from .cameras import camera_track, check_saved, image_size, save_cameras, warn_of_edges
+from .render import checked_opacity, seen_points, size_text, warn_of_masks
+from .shared import read_deformation, read_things, things_of
+
+#: Endings of job files.
+JOB_ENDINGS = (".jsonl", ".json")
+
+#: Stands for the folder of frames that a job file leaves to `warpcage run`.
+FRAMES = pathlib.Path("frames")
+
+#: Options that go with --session.
+WITH_SESSION = (
+    "command field output jobs session transparent background format overlay size scene_scale device quiet verbose"
+).split()
+
+
+def run_animate(args: argparse.Namespace) -> None:
+    if args.session is not None:
+        _run_session(args)
+        return
+    given = {name for name in OF_SESSIONS if not isinstance(getattr(args, name), Default)}
+    for name in OF_SESSIONS:
+        default = getattr(args, name)
+        setattr(args, name, default.value if isinstance(default, Default) else default)
+    output = FRAMES if args.jobs is not None else checked_film_path(args.output, new=False)
+    check_parent(output)
+    jobs = None if args.jobs is None else checked_jobs_path(args.jobs)
+    here = jobs is None and args.workers is None
+    parts, kind = ({}, "") if here else frame_outputs(output, args.show, args.format)
+    _check(args, output)
+    device, scaled = args.device, args.show in ("depth", "disparity")  # by a few frames, which are rendered
+    if not here and not scaled:
+        args.device = "cpu"
+    if not here and (args.add or shared.is_stage(args.field)):
+        raise InputError("--workers and --jobs render a field alone: leave them out where several things are shown")
+    field, stage = read_things(args)
+    if not here and getattr(args, "is_moved", False):
+        raise InputError(
+            "--workers and --jobs render the field as its file has it: write it where its dataset is first, with "
+            "warpcage bake --frame"
+        )
+    if args.show == "masks":
+        require_voxels(field, "--show masks")
+    shared.require_fillable(args, field)
+    rate = args.fps if "fps" in given else None
+    reader = shared.edit_reader(args, args.interpolation, timed=not given & {"motion", "interpolation"}, fps=rate)
+    deformation = read_deformation(args, field, reader)
+    things = things_of(args, field, stage, reader)
+    timed: PoseFile | PlaceFile | None = None if deformation is None else deformation.film
+    if things is not None and (timed is not None or deformation is None):  # poses without times keep to --frames
+        timed = things.longest(timed)
+    set_frames(args, timed, given)
+    points = seen_points(field, deformation, args, things)
+    timeline = Timeline(args.frames, args.fps, deformation, timed, args.loop, args.motion, args.interpolation)
+    track, scene = camera_track(args, field, timeline, points), MovingScene(field, timeline, things)
+    film = Film(args.frames, track, scene, shared.chosen_look(args), args.shutter)
+    cameras = film.cameras
+    warn_of_edges(args, cameras[0], deformation)
+    shared.set_lattice(args, cameras[0])
+    if deformation is not None and (here or scaled):
+        scene.render_by(shared.make_deformer(field, deformation, args))
+
+    save_cameras(args, cameras, args.fps)
+    if here:
+        _render(args, film, scene, output)
+        return
+    if args.overlay and args.show != "rgb":
+        raise InputError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
+    deformer = None if deformation is None else shared.deformer_options(args)
+    words = frame_words(film.look, deformer, scale=film.scale, scene_scale=args.scene_scale) | {"outputs": parts}
+    rate = {"frames": args.frames, "fps": str(args.fps)}
+    job = FilmJob(args.field, words, [] if deformation is None else deformation.edits, {"film": rate})
+    if jobs is not None:
+        _say_jobs(jobs, job.write(jobs, _described(film, timeline)), cameras[0])
+        return
+    settings = _settings(args, cameras, deformation) | {"format": kind}
+    workers = {"workers": args.workers, "device": device, "quiet": args.quiet, "overwrite": bool(args.overwrite)}
+    team = FilmWorkers(job, list(_described(film, timeline)), settings, **workers)
+    kept = 0
+    if output.suffix:
+        team.make_film(output, args.fps, loop=args.loop != "once")
+    else:
+        kept = team.make_frames(output)
+    _say(film, scene, output, kept)
+
+
+def _described(film: Film, timeline: Timeline) -> Iterator[FilmFrame]:
+    """The frames as items of a job describe them."""
+
+    def poses(frame: float) -> list[np.ndarray | None]:
+        return [None if cage is None else cage.vertices for cage in timeline.cages(frame)]
+
+    for index, camera in enumerate(film.cameras):
+        taken = film.moments(index) if film.shutter is not None else []
+        moments = [(moved, poses(frame)) for frame, moved in zip(taken, film.track(taken), strict=True)]
+        yield FilmFrame(index, camera, poses(index), moments)
+
+
+def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, given: set[str]) -> None:
+    """Set number, rate and loop of the frames in `args` by the keys of a film, None leaves them as they were asked for.
+    given: names of the options given."""
+    if film is None:
+        if args.loop is not None:
+            raise InputError("--loop is for keys at times (a pose file with times, an animation): see --motion")
+        return
+    if "frames" in given:
+        raise InputError("--frames does not go with keys at times, which say how long the film is: see --fps")
+    args.loop = args.loop or film.loop or "once"
+    if "fps" not in given:
+        args.fps = motion.frame_rate(USUAL_RATE if film.fps is None else film.fps)
+    args.frames = len(motion.frame_times(film.length, args.fps, args.loop))
+
+
+def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
+    """Raises ValueError for options that do not go together, before any long work."""
+    if args.jobs is not None and args.workers is not None:
+        raise InputError("--workers does not go with --jobs: give it to warpcage run")
+    check_saved(args)
+    if checked_opacity(args, output) and args.show != "rgb":
+        raise InputError(f"--show {args.show} has no opacity: leave out --background transparent")
+    if args.format == "exr" and args.show != "rgb":
+        raise InputError("--format exr holds colours, opacity and depth together: leave out --show")
+    if output.suffix:
+        checked_rate(args.fps, output.suffix.lower())
+    if args.overlay:
+        shared.require_deformation(args, "--overlay")
+    if args.show == "masks":
+        shared.require_deformation(args, "--show masks")
+    if args.shutter is not None and args.show != "rgb":
+        raise InputError(f"--shutter blurs colours: leave it out, or --show {args.show}")
+
+
+def _render(args: argparse.Namespace, film: Film, scene: MovingScene, output: pathlib.Path) -> None:
+    """Render the film or the folder here."""
+    kept = 0
+
+    def told(numbers: Sequence[int]) -> Any:  # with a bar, which ends before an error is said
+        done = film.count - len(numbers)
+        return bar(film.count, "animate", done=done, shown=not args.quiet, iterable=numbers)
+
+    if output.suffix:
+        with told(range(film.count)) as numbers:
+            film.write(output, args.fps, loop=args.loop != "once", numbers=numbers)
+    else:
+        settings = _settings(args, film.cameras, scene.timeline.deformation)
+        if scene.things is not None:
+            settings["things"] = scene.things.fingerprints()
+        kept = film.write_folder(output, settings, overwrite=bool(args.overwrite), told=told)
+    _say(film, scene, output, kept)
+    warn_of_masks(film.mask_shares, "the film")
+
+
+def _say(film: Film, scene: MovingScene, output: pathlib.Path, kept: int) -> None:
+    """Say what was written, a film or a folder in which some frames were kept."""
+    if not output.suffix:
+        print(f"wrote {output}: {counted(film.count - kept, 'frame')}, {kept} were there already")
+        return
+    size = size_text(film.cameras[0].width, film.cameras[0].height, output)
+    print(f"wrote {output}: {counted(film.count, 'frame')} of {size}, {output.stat().st_size / 1e6:.2f} MB")
+    if film.count > 1 and film.stands and scene.is_still():
+        print(f"warpcage: nothing moves in this film: its {film.count} frames are equal", file=sys.stderr)
+
+
+def _say_jobs(path: pathlib.Path, count: int, camera: Camera) -> None:
+    make = shlex.join(["warpcage", "run", str(path), "-o", "frames"])
+    print(f"wrote {path}: {counted(count, 'frame')} of {camera.width}x{camera.height}, made by: {make}")
+
+
+def _run_session(args: argparse.Namespace) -> None:
+    """The film of a session of the editor."""
+    if args.workers is not None:
+        raise InputError("--workers does not go with --session: write its --jobs, and give them to warpcage run")
+    if given := _given_besides(args):
+        raise InputError(f"--session cannot be combined with --{given[0].replace('_', '-')}: the session decides that")
+    jobs = None if args.jobs is None else checked_jobs_path(args.jobs)
+    output = FRAMES if jobs is not None else checked_film_path(args.output)
+    check_parent(output)
+    require_file(args.session, "session file")  # before a field is read, which takes a while
+    width, height = image_size(args) or DEFAULT_SIZE
+    if args.format is not None:
+        raise InputError("--session writes PNG files into a folder: leave --format out")
+    transparent = checked_opacity(args, output)
+    if args.background is not None and not transparent:
+        raise InputError("--session cannot be combined with --background: the session decides that")
+    film = SessionFilm(width, height, args.overlay, transparent)
+    if jobs is not None:
+        args.device = "cpu"  # nothing is rendered
+    field = require_voxels(shared.read_field(args), "--session")
+    document = read_session(args.session, field)
+    fields = read_fields(document, field, pathlib.Path(args.session).resolve().parent)
+    if jobs is not None:
+        require_alone(document, "--jobs")
+        job, frames = session_job(document, field, film, args.field, args.scene_scale)
+        _say_jobs(jobs, job.write(jobs, frames), view_camera(document.view, width, height))
+        return
+
+    with bar(len(frame_times(document.timeline)), "animate", shown=not args.quiet) as shown:
+
+        def report(share: float | None, text: str) -> None:
+            shown.update(round((share or 0.0) * shown.total) - shown.n)
+
+        count = export_film(document, fields, output, film, report)
+    print(f"wrote {output}: {counted(count, 'frame')} of {size_text(width, height, output)}")
+    if len(document.timeline.keys) < 2 and count > 1:
+        print(
+            f"warpcage: nothing moves in this film: its {count} frames are equal, as the session has no two keys (K "
+            "keeps one in the editor)",
+            file=sys.stderr,
+        )
+
+
+def _given_besides(args: argparse.Namespace) -> list[str]:
+    """The options that were given and do not go with --session."""
+    values = {name: value for name, value in vars(args).items() if name not in WITH_SESSION}
+    return [
+        name
+        for name, value in values.items()
+        if (not isinstance(value, Default) if name in OF_SESSIONS else value is not None)
+    ]
+
+
+def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Deformation | None) -> dict:
+    """All that decides how frames look, so that a folder never mixes two films."""
+    names = (
+        "frames motion interpolation turn show overlay coordinates resolution "
+        "density map antialias fill cage_up scene_scale"
+    )
+    settings = {name: getattr(args, name) for name in names.split()}
+    settings["background"] = TRANSPARENT if shared.is_transparent(args) else args.background
+    settings["format"] = args.format or "png"
+    settings |= {} if args.shutter is None else {"shutter": args.shutter}
+    settings["loop"], settings["fps"] = args.loop, None if args.loop is None else str(args.fps)
+    settings["size"] = [cameras[0].width, cameras[0].height]
+    settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()
+    settings["field"] = hashlib.sha256(pathlib.Path(args.field).read_bytes()).hexdigest()
+    settings |= {"cage": [], "posed": []} if deformation is None else deformation.fingerprints()
+    return json.loads(json.dumps(settings))  # tuples as lists, as they come back from the file
+
+
+def checked_jobs_path(text: str) -> pathlib.Path:
+    """The path of a job file, once it is clear that one can be written there. Raises ValueError otherwise."""
+    return options.check_output(text, JOB_ENDINGS, "job file")
+
+
+def session_job(
+    document: Document, field: VoxelField, film: SessionFilm, path: str, scene_scale: float = 1.0
+) -> tuple[FilmJob, Iterator[FilmFrame]]:
+    """The job of a session's film, and its frames, which are those of `editor.exports.film_pictures`.
+    path: the field's file; scene_scale: as the field was loaded."""
+    if film.overlay:
+        raise InputError("--jobs of a session draws no cages: leave --overlay out")
+    settings, edits = document.settings, [edit for edit in document.edits if edit.visible]
+    options = {name: getattr(settings, name) for name in ("coordinates", "resolution", "density")}
+    look, outputs = film_look(document, field, film), {"outputs": {"rgb": f"{ID}.png"}}
+    words = frame_words(look, None, scene_scale=scene_scale) | outputs  # these first: files stay as they were
+    words |= frame_words(look, options if edits else None, scene_scale=scene_scale)
+    times = frame_times(document.timeline)
+
+    def frames() -> Iterator[FilmFrame]:
+        for index, time in enumerate(times):
+            moment = document_at(document, time)
+            poses = [None if edit.kind == "remove" else edit.posed for edit in moment.edits if edit.visible]
+            yield FilmFrame(index, view_camera(moment.view, film.width, film.height), poses)
+
+    extra = {"film": {"frames": len(times), "fps": str(frame_rate(document.timeline))}}
+    return FilmJob(path, words, [edit.cage_edit for edit in edits], extra), frames()

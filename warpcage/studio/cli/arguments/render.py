@@ -1,0 +1,175 @@
+"""Arguments of `warpcage render` and `animate`."""
+
+from __future__ import annotations
+
+import argparse
+from fractions import Fraction
+from typing import Any
+
+from ....core.names import LOOPS, MOVE_HELP
+from .options import (
+    CLEAR_BACKGROUND,
+    FOLLOWING,
+    PICTURE_KINDS,
+    SCALE_AND_DEVICE,
+    SUBFRAMES,
+    VIEW,
+    command,
+    deformation,
+    shutter,
+    things,
+)
+
+#: Pictures of --cameras interpolate from each camera to the next where --frames is not given.
+STEPS = 8
+
+command(
+    "render",
+    "render",
+    "render one view of a field, as it is or deformed by a cage",
+    """\
+  warpcage render lego.npz -o lego.png
+  warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png --size 800
+  warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png --overlay \\
+      --disparity bent_disparity.png --masks bent_masks.png --camera data/lego:test:3
+  warpcage render lego.npz --cage cage.obj --posed twist:60 -o twisted.png
+  warpcage render lego.npz --cage cage.obj -o caged.png --overlay
+  warpcage render lego.npz --edit arm.obj:arm_up.obj:keep --edit cab.obj:remove -o parts.png
+  warpcage render lego.npz --add mic.npz:beside.json -o both.png --save-stage both.stage.json
+  warpcage render lego.npz -o lego.exr --background transparent
+  warpcage render lego.npz --cage cage.obj --posed bend:20 bend:40 bend:60 -o bends/
+  warpcage render lego.npz -o views/ --cameras interpolate --scene data/lego:test --frames 60
+""",
+    f"""
+field
+-o PICTURE  picture to write (.png, .exr), or folder: a picture of each pose
+many pictures:
+--cameras  given: one picture from each camera of --scene; interpolate: pictures along a smooth path through them. The
+    output is then a folder or a film (.mp4, .gif, .mov, .webm)
+--scene FILE|SCENE[:SPLIT]  camera file, or scene of the cameras, e.g. data/lego:test (default split: train)
+--frames N  pictures of --cameras interpolate (default: {STEPS} from each camera to the next)
+options:
+--disparity PICTURE  also write the disparity in colour (.png)
+--depth PICTURE  also write the depth in grey, near is white (.png)
+--alpha PICTURE  also write the opacity (.png)
+--masks PICTURE  also write what is turned inside out (red), what was uncovered (blue) and where the posed cage has
+    nothing to show (yellow) (.png), and warn of how much there is of each
+--overlay  draw the cage into the picture
+{CLEAR_BACKGROUND}
+--fill
+--antialias
+""",
+    deformation("POSED...", ". Several, or all keyframes of a pose file, make a picture each, in a folder"),
+    things("--save-stage FILE  also write the scene as one file (.stage.json)"),
+    VIEW,
+    SCALE_AND_DEVICE,
+    cameras=("interpolate", "given"),
+    format=("png", "exr"),
+)
+
+#: What a session decides by itself, of the options that have a default.
+OF_SESSIONS = ("frames", "fps", "motion", "interpolation", "show", "coordinates", "resolution", "density", "fov")
+
+
+class Default:
+    """The default of an option that a session decides, as nobody gave it; value: what it is without a session."""
+
+    def __init__(self, value: Any):
+        self.value = value
+
+    def __str__(self) -> str:
+        return str(self.value)
+
+
+def _leave_to_sessions(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(**{name: Default(parser.get_default(name)) for name in OF_SESSIONS})
+
+
+command(
+    "animate",
+    "animate",
+    "render a film from rest through the poses and back, with the camera turning around the object",
+    """\
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
+  warpcage animate lego.npz --cage cage.obj --posed bend:45:y:z -o bend.gif --frames 24 --turn 0 --size 240
+  warpcage animate lego.npz --cage cage.obj --posed one.obj two.obj rest -o walk.mp4 --motion once
+  warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4 --loop ping-pong
+  warpcage animate lego.npz --cage cage.obj --posed walk.glb -o walk.mp4
+  warpcage animate lego.npz --cage cage.obj --posed "walk_####.obj" -o walk.mp4 --fps 25
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mov --background transparent
+  warpcage animate lego.npz --edits lego.edits.json -o parts.mp4
+  warpcage animate lego.npz --add mic.npz:around.json -o both.mp4
+  warpcage animate lego.npz --session lego.session.json -o film.mp4 --size 800 600
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj --frames 240 --jobs film.jsonl
+  warpcage run film.jsonl -o frames
+
+An output without an ending is a folder of pictures, PNG or EXR (--format). Opacity is kept by those, .mov (ProRes 4444)
+and .webm (VP9); colours are multiplied by opacity in EXR files alone. If the command is interrupted, run it
+again: it renders only what is missing of a folder.
+
+The film goes from rest through the poses of --posed in order. Each vertex moves straight or smoothly from pose to
+pose. If all poses are the same preset, its amount changes instead, so that a bend stays an arc.
+
+Keys at times make a film of their own length and rate, without the rest pose before them: a pose file with times
+(`warpcage pose -o poses.json --key NAME --at SECONDS`), an animated glTF file, or one cage file a frame: a folder, a
+pattern, or all of their names. --motion goes from rest through their poses instead.
+
+--session makes the film of a session of the editor: its keys, its camera and its settings. A folder is new or empty
+then, and appears when all of its pictures are there.
+""",
+    f"""
+field
+one of these:
+-o FILM  film (.mp4, .gif, .mov, .webm) or folder of pictures
+--jobs FILE  render nothing, but write a job file (.jsonl) of the frames: warpcage run makes them, over GPUs and
+    machines
+options:
+--workers N  processes that render, one a GPU, or with a part of the cores each where there is none (default: this one)
+--frames N  number (default: %(default)s)
+--fps RATE  frames per second, such as 24, 12.5, 29.97 or 30000/1001, which is the same (default: %(default)s)
+--motion  swing: to the last pose and back; once: to the last pose; hold: posed throughout (default: %(default)s)
+--loop  what a film of keys at times does at its end: once, with its first and its last moment, so that 2 s at 24 a
+    second are 49 frames; loop: begin again; ping-pong: go back to its beginning
+    (default: what the pose file says, or once)
+--interpolation  linear: straight from pose to pose at constant speed; smooth: without jolts at the poses and slow at
+    both ends (default: %(default)s)
+--overwrite  replace the frames of another film that are in the folder
+a session of the editor:
+--session FILE  session file (.session.json), instead of all that it holds
+camera path:
+--turn DEGREES  how far the camera turns around the target; 0 keeps it still (default: 0 where the poses have times,
+    else 360, but where the cameras of the pictures are known there and back within what they saw)
+--full-turn  all the way round, also through what no picture showed: --turn 360
+--cameras MOVE|FILE|SCENE[:SPLIT]  move the camera instead by {MOVE_HELP};
+    or move through the cameras of a file (.json, .glb, .gltf; at their times where they have some), or of a scene's
+    pictures, e.g. data/lego:test (default split: train)
+--shutter DEGREES[:N]  motion blur: how long the shutter is open, of 360 degrees a frame (180 is usual), by the mean of
+    N moments in linear light (default: {SUBFRAMES})
+options:
+--show  rgb; alpha; depth (near is white) or disparity, on one scale for the whole film; masks: what is turned inside
+    out, what was uncovered and where a posed cage has nothing to show, with a warning of how much (default:
+    %(default)s)
+--overlay  draw the cage into the pictures
+{CLEAR_BACKGROUND}
+--fill
+--antialias
+""",
+    deformation("POSED...", FOLLOWING),
+    things(),
+    VIEW,
+    SCALE_AND_DEVICE,
+    "--quiet",
+    more=_leave_to_sessions,
+    output={},
+    frames=48,
+    fps=Fraction(24),
+    motion={"choices": ("swing", "once", "hold"), "default": "swing"},
+    loop=LOOPS,
+    interpolation={"choices": ("smooth", "linear"), "default": "smooth"},
+    overwrite={"action": "store_true", "default": None},
+    full_turn={"dest": "turn", "action": "store_const", "const": 360.0},
+    shutter=shutter,
+    show={"choices": PICTURE_KINDS, "default": "rgb"},
+    format=("png", "exr"),
+)

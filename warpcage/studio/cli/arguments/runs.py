@@ -1,0 +1,121 @@
+"""Arguments of `warpcage sweep` and `run`."""
+
+from __future__ import annotations
+
+from ....core.names import COORDINATES, FIELD_COORDINATES, TRANSPARENT
+from .options import CAGE_UP_FOUND, CAGES, COLORS, SCALE_AND_DEVICE, command, positive_float, whole_number
+
+#: What stands behind pictures where --background is not given: of PNG files, and of JPEG files, which have no opacity.
+USUAL_BACKGROUNDS = {"png": TRANSPARENT, "jpg": "white"}
+
+#: The word of --background for that of the field.
+OWN = "own"
+
+#: Modes of random poses, as `cage.pose_modes` has them, which needs NumPy.
+MODES = ("bend", "twist", "stretch", "taper", "wave", "bump")
+
+command(
+    "sweep",
+    "runs",
+    "write a job file of many poses of a field from many cameras, for data sets",
+    """\
+  warpcage sweep lego.npz --cage cage.obj --poses random:100 --cameras orbit:8 -o sweep.jsonl
+  warpcage sweep lego.npz --cage cage.obj --poses random:5000 --cameras random:4 --size 800 \\
+      --records webdataset --image jpg -o augmented.jsonl
+  warpcage sweep lego.npz --cage cage.obj --poses rest poses.json twist:60 --cameras data/lego:test \\
+      --coordinates mean_value harmonic green -o compared.jsonl
+  warpcage run sweep.jsonl -o dataset --workers 2
+""",
+    f"""
+field
+-o JOBS  job file to write (.jsonl); poses and cameras go beside it
+poses:
+--cage REST  cage around the undeformed object ({CAGES})
+--poses POSES...  random:N for each seed; posed cage files, pose files (all keyframes of poses.json, or
+    poses.json:NAME), animated glTF files, numbered files (walk_####.obj); arrays of vertices (.npy, (poses, vertices,
+    3)); rest; and presets such as bend:40:x:z (default: random:100)
+--seeds SEED...  seeds of random poses; the first is that of random cameras too (default: 0)
+--stretch LEAST LARGEST  bounds of random poses: lengths in the pose over lengths at rest, everywhere (default: 0.5 2)
+--reach LEAST MOST  how far random poses go, as shares of the farthest that the bounds allow (default: 0.3 1)
+--modes MODE...  what random poses are made of: {", ".join(MODES)} (default: all)
+--write-poses  draw random poses now and write them beside the job file, which takes some 30 ms of a core each; then
+    cameras that are made see every pose whole (default: workers draw them, each what it makes)
+--falloff WIDTH  for a cage around a part: hold the walls that cut the visible, and let poses fade to rest in a band
+    of this width inside them, world units (default: no wall is held)
+{CAGE_UP_FOUND}
+--posed-up
+cameras:
+--cameras CAMERAS  orbit:N[:ELEVATION]: a circle around all poses; random:N: N places above the horizon, others for each
+    pose; a camera file (.json, .glb); a transforms.json; or a scene, SCENE[:SPLIT] (default: orbit:8)
+--views N  see each pose from N of the cameras, chosen at random (default: from all)
+--fov DEGREES  horizontal field of view of orbit and random (default: %(default)s)
+--size PIXELS...  width, or width and height, or a shape such as 16:9, as for render (default: 400, or the size of the
+    cameras' pictures)
+pictures:
+--coordinates KIND...  kinds of coordinates, each of which makes all pictures: {", ".join(COORDINATES)} (default:
+    {FIELD_COORDINATES})
+--resolution N  lattice cells along the longest side of the cage, or "precise" (default: by the size of the picture)
+--density  as for render (default: %(default)s)
+--map
+--antialias
+--background COLOUR  {COLORS} (default: {TRANSPARENT}; of JPEG files white); {TRANSPARENT}: opacity in the picture;
+    {OWN}: what the field has behind it
+--supersampling N  rays along each side of a pixel (default: that of the field)
+records (docs/sweeps.md):
+--records  folder: files, with transforms.json for each pose and for all; webdataset: tar shards (default: %(default)s)
+--image  pictures (default: %(default)s)
+--items-per-shard N  pictures of a shard (default: 1000)
+--no-depth  leave depth out
+--no-alpha  leave opacity out
+""",
+    SCALE_AND_DEVICE,
+    "--quiet",
+    cage={"required": True},
+    poses=["random:100"],
+    seeds={"type": whole_number, "default": [0]},
+    stretch={"type": positive_float, "default": (0.5, 2.0)},
+    reach={"type": positive_float, "default": (0.3, 1.0)},
+    modes={"choices": MODES, "default": list(MODES)},
+    cameras="orbit:8",
+    views={},
+    coordinates={"choices": COORDINATES, "default": [FIELD_COORDINATES]},
+    records={"choices": ("folder", "webdataset"), "default": "folder"},
+    image={"choices": ("png", "jpg"), "default": "png"},
+    items_per_shard=1000,
+    no_depth={"dest": "depth", "action": "store_false"},
+    no_alpha={"dest": "alpha", "action": "store_false"},
+)
+
+command(
+    "run",
+    "runs",
+    "make all that a job file describes: frames, fits and evaluations, over several GPUs or machines",
+    """\
+  warpcage run jobs.jsonl -o frames
+  warpcage run jobs.jsonl -o frames --dry-run
+  warpcage run jobs.jsonl -o frames --workers 2
+  warpcage run jobs.jsonl -o /shared/frames --cluster 10.0.0.1:6379
+  warpcage run jobs.jsonl -o /shared/frames --part 3/16
+""",
+    """
+jobs  job file (.jsonl), as docs/batch.md describes it
+-o DIR  folder of what is made, and of manifest.jsonl, which says what became of each item. What is there already and
+    whose inputs did not change is kept
+--workers N  processes that work, one a GPU, or with a part of the cores each where there is none (default: 1; on a
+    cluster all of its GPUs)
+--cluster ADDRESS  work on a cluster, which needs Ray, at an address such as 10.0.0.1:6379, or "auto" for the one that
+    this machine belongs to; all its machines see the files under the same paths
+--part K/N  make the K-th of N equal ranges of the items, such as 3/16, beside runs of others; a run without it joins
+    their manifests (docs/farms.md)
+--retries N  how often an item is tried again, elsewhere where possible, after the death of its worker or an error that
+    is not one of its input (default: %(default)s)
+--item-timeout SECONDS  end the worker of an item that takes longer, loading included, and try the item again like one
+    of a worker that died. One worker is a process of its own then (default: no limit)
+--dry-run  say what would be made, what is there already, and how long it would take, from an item of each kind that is
+    made once and thrown away
+--device
+--quiet
+""",
+    retries={"type": whole_number, "default": 2},
+    item_timeout=positive_float,
+)

@@ -1,0 +1,569 @@
+"""`warpcage cage`, `check`, `pose`, `edits` and `edit`: cages made, examined and posed, by words and in the browser."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import json
+import os
+import pathlib
+import sys
+import warnings
+import webbrowser
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...cage.axes import axis_of, default_towards, with_up
+from ...cage.cage import Cage
+from ...cage.generate import checked_count
+from ...cage.pose_file import PoseFile, file_poses
+from ...cage.presets import is_preset
+from ...cage.snap import cut_matter, snap_to_gaps
+from ...cage.up_axis import load_standing
+from ...core.checks import checked_bounds
+from ...core.files import require_file, seen_note
+from ...core.names import counted
+from ...errors import InputError
+from ...field.objects import is_splats, matter_around
+from ...field.selection import NodeSelection, select_nodes
+from ...field.surface import extract_mesh
+from ...mesh.io import ALL_OBJECTS, read_object
+from ...mesh.io.formats import mesh_endings
+from ...render.surface_file import load_trimesh
+from ...splats.io import splat_path
+from ...splats.splat_field import load_field
+from ...view.camera import CameraKey
+from ..editor.session import free_session_path, session_path
+from ..editor.things import stage_field
+from ..films.edits import Deformation, PosedEdit, read_edits_file, write_edits_file
+from ..films.render import require_voxels
+from ..films.words import ending, note_jumps, pose_file, read_film, read_pose, read_poses, read_rest, say_standing
+from . import shared
+from .arguments import options
+from .cameras import named_camera
+from .shared import is_session, parse_edit, posed_up, session_edits
+
+if TYPE_CHECKING:
+    import trimesh
+
+#: Distance of a box or a cylinder from the object by default, as a share of the object's size.
+MARGIN = 0.03
+
+
+def run_cage(args: argparse.Namespace) -> None:
+    output = options.check_output(args.output, tuple(mesh_endings("write")), "cage file")
+    _check_combination(args)
+    shared.require_field_scale(args)
+    is_field = shared.is_field(args.field)
+    if is_field and args.object is not None:
+        raise InputError(f"--object names an object of a mesh file, {args.field!r} is a field")
+    thing: Any = shared.read_field(args) if is_field else read_mesh(args.field, args.object)
+    if args.snap is not None:
+        if not is_field:
+            raise InputError(f"--snap needs a field (.npz), got {args.field!r}")
+        _snap(require_voxels(thing, "--snap"), args, output)
+        return
+    if any(value is not None for value in _selection(args).values()):
+        thing = _selected(thing, is_field, args)
+    if args.box or args.cylinder:
+        mesh = extract_mesh(thing, components="all") if is_field else thing
+        cage = _box_around(mesh, args) if args.box else _cylinder_around(mesh, args)
+    else:
+        make = Cage.from_field if is_field else Cage.from_mesh
+        cage = make(
+            thing,
+            vertex_count=args.vertices or 100,
+            margin=args.margin,
+            method=args.method or "auto",
+            symmetry=args.symmetry,
+        )
+    cage.require_usable("the cage")
+    cage.save(output, up=args.cage_up)
+    print(f"wrote {output}: {len(cage.vertices)} vertices, {len(cage.faces)} faces")
+
+
+def _snap(field: Any, args: argparse.Namespace, output: pathlib.Path) -> None:
+    """Move the walls of a cage to gaps, and say how much less they cut."""
+    cage = Cage.load(args.snap, up=args.cage_up, object=args.cage_object)
+    snapped = snap_to_gaps(cage, field, args.reach)
+    snapped.save(output, up=args.cage_up)
+    before, after = cut_matter(cage, field), cut_matter(snapped, field)
+    less = "which cut no matter" if not before else f"which cut {100 * (1 - after / before):.0f} % less matter"
+    print(f"wrote {output}: {len(snapped.vertices)} vertices, {len(snapped.faces)} faces, {less}")
+
+
+def _check_combination(args: argparse.Namespace) -> None:
+    if (args.snap is None) != (args.reach is None):
+        raise InputError("--snap needs --reach, how far its walls may move, and --reach belongs to --snap")
+    if args.snap is not None and any(value is not None for value in _selection(args).values()):
+        raise InputError("--snap looks at all of the field: leave the options out that select a part of it")
+    needs = {
+        "segments": ("box", args.box),
+        "axis": ("cylinder", args.cylinder),
+        "sides": ("cylinder", args.cylinder),
+        "rings": ("cylinder", args.cylinder),
+    }
+    for name, (shape, chosen) in needs.items():
+        if getattr(args, name) is not None and not chosen:
+            raise InputError(f"--{name} belongs to --{shape}")
+    if args.vertices is not None and (args.box or args.cylinder):
+        raise InputError(
+            "--vertices is for a cage wrapped around the object: a box takes --segments, a cylinder --sides and --rings"
+        )
+    if args.vertices is not None:
+        checked_count(args.vertices, "--vertices")
+    for name in ("method", "symmetry"):
+        if getattr(args, name) is not None and (args.box or args.cylinder):
+            raise InputError(f"--{name} is for a cage wrapped around the object")
+    if args.segments is not None and len(args.segments) not in (1, 3):
+        raise InputError(f"--segments takes one number or three, got {len(args.segments)}")
+
+
+def _selection(args: argparse.Namespace) -> dict:
+    """What select_nodes takes, and a selection file; None where an option is not given."""
+    return {
+        "selection": args.selection,
+        "box": args.in_box,
+        "masks": args.masks,
+        "seed": args.seed,
+        "parts": args.parts,
+        "floaters": args.floaters,
+    }
+
+
+def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelection:
+    """The chosen nodes of a field. What was left out is printed."""
+    chosen = {name: value for name, value in _selection(args).items() if value is not None}
+    if not is_field:
+        raise InputError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields, not for meshes")
+    selected = field
+    if "selection" in chosen:
+        selected = NodeSelection.load(chosen.pop("selection"), field)
+        if not chosen:
+            return selected
+    if "box" in chosen:
+        chosen["box"] = [args.in_box[:3], args.in_box[3:]]
+        if selected is field and is_splats(
+            field
+        ):  # a part of a place is looked at as closely as the whole of an object
+            selected = matter_around(field, checked_bounds(chosen["box"], "box"))
+    if "masks" in chosen:
+        chosen |= shared.scene_masks(args.masks, field)
+    selection = select_nodes(selected, **chosen)
+    for note in selection.notes:
+        print(note)
+    return selection
+
+
+def read_mesh(name: str, object: str | None = None) -> trimesh.Trimesh:
+    """Read a mesh file: vertices in the order of the file, z up (glTF, which has y up, is turned).
+    object: the name of one object of it; None takes all."""
+    import trimesh
+
+    path = require_file(name, "mesh file")
+    if path.suffix.lower() not in options.MESH_ENDINGS:
+        raise InputError(
+            f"mesh file {str(path)!r} must end in {' or '.join(options.MESH_ENDINGS)}, or in .npz for a field"
+            f"{seen_note(path)}"
+        )
+    if (
+        object is not None or path.suffix.lower() in options.MOTION_ENDINGS
+    ):  # strips and fans too, split vertices joined
+        found = read_object(path, object=object or ALL_OBJECTS)
+        return trimesh.Trimesh(found.vertices, found.faces, process=False)
+    return load_trimesh(path)
+
+
+def _margin(mesh: trimesh.Trimesh, args: argparse.Namespace) -> float:
+    return MARGIN * float(mesh.extents.max()) if args.margin is None else args.margin
+
+
+def _box_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
+    margin = _margin(mesh, args)
+    segments = args.segments or [1]
+    low, high = mesh.bounds
+    return Cage.box(low - margin, high + margin, segments=segments[0] if len(segments) == 1 else tuple(segments))
+
+
+def _cylinder_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
+    """Around the middle of the bounding box, wide enough for the flat sides to clear every vertex."""
+    margin, axis, sides = _margin(mesh, args), args.axis or "z", args.sides or 12
+    if sides < 3:
+        raise InputError(f"a cylinder needs at least 3 sides, got {sides}")
+    center = mesh.bounds.mean(axis=0)
+    along = "xyz".index(axis)
+    reach = np.linalg.norm(np.delete(mesh.vertices - center, along, axis=1), axis=1).max() + margin
+    height = mesh.extents[along] + 2 * margin
+    return Cage.cylinder(center, reach / np.cos(np.pi / sides), height, axis=axis, sides=sides, rings=args.rings or 4)
+
+
+def run_check(args: argparse.Namespace) -> int:
+    shared.require_field_scale(args)
+    output = (
+        None if args.repair is None else options.check_output(args.repair, tuple(mesh_endings("write")), "cage file")
+    )
+
+    thing = _enclosed(args)
+    reference = next(iter(thing.values()), None)
+    cage, standing = load_standing(
+        Cage, args.cage, up=args.cage_up, reference=reference, anywhere=True, object=args.cage_object
+    )
+    if standing.turned:  # the table says what else there is
+        say_standing(args.cage, standing, "--cage-up")
+    pose = None if args.posed is None else _pose(args, cage, standing.up)
+    notes = ()
+    if output is not None:
+        cage, notes = cage.repair()
+        cage.save(output)
+    report = cage.check(**thing, pose=pose)
+    if args.json:
+        print(json.dumps(report.as_dict() | {"file": args.cage, "repaired": list(notes)}, indent=1))
+    else:
+        for note in notes or (() if output is None else ("nothing to repair",)):
+            print(f"repair: {note}")
+        print(report)
+    return 0 if report.usable and not report.standing else 1
+
+
+def _pose(args: argparse.Namespace, cage: Cage, expected: str) -> Cage:
+    """The pose of --posed; expected: the axis that points up in the cage's file."""
+    if is_preset(args.posed) or pose_file(args.posed):
+        return read_pose(cage, args.posed, usable=False)
+    likely = expected if ending(args.posed) == ending(args.cage) else None
+    pose, standing = load_standing(Cage, args.posed, up=posed_up(args), reference=cage, expected=likely)
+    say_standing(args.posed, standing, "--posed-up")
+    return pose
+
+
+def _enclosed(args: argparse.Namespace) -> dict:
+    """The object of --object, as Cage.check takes it."""
+    if args.field is None:
+        return {}
+    if shared.is_field(args.field):
+        return {"field": shared.read_field(args)}
+    return {"mesh": read_mesh(args.field)}
+
+
+def run_edits(args: argparse.Namespace) -> None:
+    if args.file is None and not args.edit:
+        raise InputError("give an edits file to read, or --edit for each edit to write")
+    if args.edit and args.output is None:
+        raise InputError("--edit needs -o, the edits file to write")
+    output = None if args.output is None else options.check_output(args.output, (".json",), "edits file")
+    if args.file is not None and is_session(args.file):
+        if output is not None:
+            raise InputError(f"{args.file} is a session of the editor, which --edits takes as it is: it needs no -o")
+        deformation, names = session_edits(args.file)
+        _list(args.file, deformation, names)
+        return
+    words = [] if args.file is None else read_edits_file(args.file)
+    words += [parse_edit(text) for text in args.edit or ()]
+    deformation = shared.edit_reader(args, "smooth").edits(words)
+    if output is not None:
+        # each says which axis points up in its cages, and which object they are, where that was said for all
+        said = ((edit, edit.up or args.cage_up, edit.object or args.cage_object) for edit in words)
+        write_edits_file(output, [dataclasses.replace(edit, up=up, object=name) for edit, up, name in said])
+    _list(f"wrote {output}" if output is not None else str(args.file), deformation, [str(edit) for edit in words])
+
+
+def _list(what: str, deformation: Deformation, names: list[str]) -> None:
+    """Print a line for each edit."""
+    count = len(names)
+    print(f"{what}: {count} edit{'s'[: count > 1]}{', in this order' if count > 1 else ''}")
+    for number, (name, part) in enumerate(zip(names, deformation.parts, strict=True), 1):
+        print(f"  {number}. {name} ({_size(part)})")
+
+
+def _size(part: PosedEdit) -> str:
+    """How large the cage of an edit is, and how many poses it has."""
+    poses = 0 if part.keyframes is None else len(part.keyframes.cages) - 1
+    return f"{len(part.edit.cage.vertices)} vertices" + (f", {poses} poses" if poses > 1 else "")
+
+
+#: Options for pose files alone.
+OPTIONS = ("key", "at", "easing", "posed", "camera", "remove", "fps", "loop")
+
+#: Those of them that a cage that moves takes too.
+MOTION_OPTIONS = {"posed", "fps", "loop"}
+
+
+def run_pose_keys(args: argparse.Namespace, output: pathlib.Path) -> None:
+    """Add a key to a pose file, or all keys of a file that moves, and say what the film is then."""
+    rest, _ = read_cage(args)
+    file = PoseFile.load(output, rest) if output.exists() else PoseFile(rest)
+    if args.key is None:
+        _add_all(file, args)
+    elif args.remove:
+        _remove(file, args, output)
+    else:
+        _add_key(file, args)
+    file.fps = file.fps if args.fps is None else float(args.fps)
+    file.loop = args.loop or file.loop
+    if not len(file) and not file.cameras:
+        raise InputError(f"{str(output)!r} would hold no key: remove the file instead")
+    file.save(output)
+    print(f"wrote {output}: {_described(file)}")
+
+
+def _write_motion(args: argparse.Namespace, output: pathlib.Path) -> None:
+    """Write the frames of a pose file, or of another file that moves, as a cage that moves."""
+    rest, _ = read_cage(args)
+    if not args.posed or is_preset(args.posed):
+        raise InputError("a cage that moves needs --posed, a pose file (.json) or another file of poses")
+    file = PoseFile.load(args.posed, rest, up=args.cage_up, fps=None if args.fps is None else float(args.fps))
+    file.fps = file.fps if args.fps is None else float(args.fps)
+    file.loop = args.loop or file.loop
+    file.save(output)
+    print(f"wrote {output}: {_described(file)}")
+
+
+def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
+    name = args.key
+    if not name.strip():
+        raise InputError("--key needs a name")
+    timed = [other for other in file.times if other != name]
+    if args.at is None and timed and name not in file.times:
+        raise InputError(f"--key {name!r} needs --at SECONDS: the other keys of the file have times")
+    untimed = [other for other in file.names if other != name and other not in file.times]
+    if args.at is not None and untimed:
+        raise InputError(f"--at: key {untimed[0]!r} of the file has no time; give all keys times, or none")
+    alone = args.posed is None and not args.steps
+    if args.camera is not None:
+        _add_camera(file, args)
+        if alone:
+            return  # a camera and no pose
+    if name not in file or not alone:  # otherwise another time or easing of the pose that is there
+        posed = with_up(args.posed, args.up) if args.posed is not None and is_preset(args.posed) else args.posed
+        file[name] = stepped(file.rest if posed is None else read_pose(file.rest, posed, posed_up(args)), args)
+    if args.at is not None:
+        same = [other for other in timed if file.times[other] == args.at]
+        if same:
+            raise InputError(
+                f"key {same[0]!r} of the file is at {args.at:g} s too: give another time (for a jump give the key "
+                "before it --easing hold)"
+            )
+        file.times[name] = args.at
+    if args.easing is not None:
+        file.easings[name] = args.easing
+
+
+def _add_camera(file: PoseFile, args: argparse.Namespace) -> None:
+    held = [key for key in file.cameras if key.name == args.key]
+    time = args.at if args.at is not None or not held else held[0].time
+    if time is None:
+        raise InputError(f"--key {args.key!r} needs --at SECONDS: a camera is reached at a time")
+    easing = args.easing or (held[0].easing if held else "smooth")
+    key = CameraKey(named_camera(args, args.camera), time, args.key, easing)
+    same = [other for other in file.cameras if other.name != args.key and other.time == time]
+    if same:
+        raise InputError(f"camera {same[0].name!r} of the file is at {time:g} s too: give another time")
+    file.cameras = [other for other in file.cameras if other.name != args.key] + [key]
+
+
+def _add_all(file: PoseFile, args: argparse.Namespace) -> None:
+    """All keys of --posed, in the place of those of their names."""
+    if args.posed is None:
+        if args.at is None and args.easing is None and not args.steps and not args.remove and (args.fps or args.loop):
+            return  # rate and loop alone
+        raise InputError("a pose file needs --key NAME, or --posed with a file that moves")
+    for name in ("at", "easing", "camera", "steps", "remove"):
+        if getattr(args, name):
+            raise InputError(f"{'steps of the pose go' if name == 'steps' else f'--{name} goes'} with --key")
+    up = posed_up(args)
+    film = read_film(file.rest, [args.posed], up, None, args.fps)
+    if film is None:
+        named = pose_file(args.posed)
+        poses = read_poses(file.rest, args.posed, up)
+        if len(poses) < 2 and named is None:
+            raise InputError(f"{args.posed!r} holds one pose: give it a name, --key NAME")
+        film = (
+            PoseFile.load(named[0], file.rest) if named and not named[1] else file_poses(args.posed, file.rest, up=up)
+        )
+        if film is None:
+            raise InputError(f"{args.posed!r} holds one pose: give it a name, --key NAME")
+    if bool(film.times) != bool(file.times) and len(file):
+        raise InputError("keys with times and keys without do not go into one pose file: write another one")
+    for name in film.names:
+        film[name].require_usable(f"keyframe {name!r} of {args.posed!r}")
+        file[name] = film[name]
+        if name in film.times:
+            file.times[name] = film.times[name]
+        if name in film.easings:
+            file.easings[name] = film.easings[name]
+    file.fps, file.loop = film.fps or file.fps, film.loop or file.loop
+    note_jumps(file, args.posed)
+
+
+def _remove(file: PoseFile, args: argparse.Namespace, output: pathlib.Path) -> None:
+    for name in ("at", "easing", "posed", "camera", "steps"):
+        if getattr(args, name):
+            raise InputError(f"--remove takes a key out: leave {'the steps' if name == 'steps' else f'--{name}'} out")
+    cameras = [key for key in file.cameras if key.name != args.key]
+    if args.key not in file and len(cameras) == len(file.cameras):
+        raise InputError(f"{output}: there is no key {args.key!r} to remove")
+    file.cameras = cameras
+    if args.key in file:
+        del file[args.key]
+
+
+def _described(file: PoseFile) -> str:
+    """The keys and the film in a line."""
+    if not file.times and not file.cameras:
+        return f"{counted(len(file), 'key')} without times: {', '.join(file.names)}"
+    names = [f"{name} at {file.times[name]:g} s" for name in file.timed]
+    shown = names if len(names) <= 8 else [*names[:3], "...", names[-1]]
+    end = f", {file.loop}" if file.loop else ""
+    rate = f", {file.fps:g} frames a second" if file.fps else ""
+    cameras = [f"{key.name or 'camera'} at {key.time:g} s" for key in file.cameras]
+    shown += [f"cameras {', '.join(cameras[:8])}"] if cameras else []
+    return f"{counted(len(file) + len(cameras), 'key')} over {file.length:g} s{rate}{end}: {', '.join(shown)}"
+
+
+def run_pose(args: argparse.Namespace) -> None:
+    output = options.check_output(args.output, (*mesh_endings("write"), ".json"), "cage file")
+    if output.suffix.lower() == ".json":
+        run_pose_keys(args, output)
+        return
+    given = [name for name in OPTIONS if getattr(args, name)]
+    if output.suffix.lower() in options.MOTION_ENDINGS and given and not args.steps and set(given) <= MOTION_OPTIONS:
+        _write_motion(args, output)
+        return
+    if given:
+        raise InputError(f"--{given[0]} is for keys of a pose file: give one with -o (.json)")
+    if not args.steps:
+        raise InputError("no step given: --bend, --twist, --taper, --stretch, --scale, --rotate or --translate")
+    if output.exists() and pathlib.Path(args.cage).exists() and output.samefile(args.cage):
+        raise InputError(
+            f"-o {output} is the cage at rest itself, which is needed beside a posed one: name another file"
+        )
+
+    cage, found = read_cage(args)
+    stepped(cage, args).save(output, up=args.cage_up or found.get(ending(str(output))))
+    steps = (f"{name} {value if isinstance(value, float) else tuple(value)}" for name, value in args.steps)
+    print(f"wrote {output}: {', '.join(steps)}")
+
+
+def read_cage(args: argparse.Namespace) -> tuple[Cage, dict[str, str]]:
+    """The cage of the command, and the axis that points up in files of its ending.
+    With --object the axis is found by that field, and `args.up` becomes the field's unless --up is given too."""
+    field = None if args.object is None else load_field(require_file(splat_path(args.object), "field file"))
+    if field is not None and args.up is None:
+        args.up = tuple(field.up)
+    args.straightening = None if field is None else field.straightening  # for cameras of its scene
+    return read_rest(args.cage, args.cage_up, field, part=True, name=args.cage_object)
+
+
+def stepped(cage: Cage, args: argparse.Namespace) -> Cage:
+    """A cage after the steps of the command, usable."""
+    for name, value in args.steps or ():
+        cage = getattr(cage, name)(*_arguments(name, value), **_options(name, cage, args))
+    cage.require_usable("the posed cage")
+    return cage
+
+
+def _arguments(name: str, value: Any) -> tuple:
+    """Positional arguments of the step's method of Cage."""
+    if name != "scale":
+        return (value,)
+    if len(value) not in (1, 3):
+        raise InputError(f"--scale takes one factor or three, got {len(value)}")
+    return (value[0] if len(value) == 1 else tuple(value),)
+
+
+def _options(name: str, cage: Cage, args: argparse.Namespace) -> dict:
+    """Keyword arguments of the step's method of Cage."""
+    if name == "translate":
+        return {}
+    chosen = {"center": args.center}
+    if name != "scale":
+        chosen["axis"] = axis_of(with_up(args.axis, args.up))
+    if name == "bend":
+        chosen["towards"] = default_towards(cage, chosen["axis"])
+        if args.towards is not None:
+            chosen["towards"] = axis_of(with_up(args.towards, args.up))
+    if name in ("bend", "twist", "taper", "stretch"):
+        chosen["limits"] = tuple(args.limits)
+    return chosen
+
+
+def run_edit(args: argparse.Namespace) -> None:
+    from ..editor.demo import demo_files  # here, as cages are posed without what fits and serves
+    from ..editor.edit import edit, require_libraries
+
+    # each pose would say so anew, with other numbers; the page shows what the cage does
+    warnings.filterwarnings("ignore", message="a cage has gaps narrower")
+    if (args.field is None) == (not args.demo):
+        raise InputError("edit needs a field file, or --demo")
+    try:
+        require_libraries()
+    except ImportError as error:  # not for want of warpcage's own
+        raise InputError(str(error)) from None
+    device = shared.chosen_device(args)
+    if args.demo:
+        if args.cage or args.selection:
+            raise InputError("--demo brings its own cage: leave --cage and --selection out")
+        args.field, demo_cage = map(str, demo_files(device))
+    args.field = str(splat_path(args.field))
+    require_file(args.field, "field file")
+    kept = pathlib.Path(args.session) if args.session else session_path(args.field)
+    if args.demo and not args.session:  # what is made with it belongs to the user: caches are emptied
+        if kept.exists():
+            print(f"an earlier session of the demo is kept: go on with it by --session {kept}", file=sys.stderr)
+        kept = pathlib.Path("warpcage-demo", kept.name)
+        kept.parent.mkdir(exist_ok=True)
+    if kept.exists() and (args.cage or args.selection) and not args.new:
+        option = "--cage" if args.cage else "--selection"
+        raise InputError(
+            f"{str(kept)!r} holds a session of this field: leave {option} out to go on with it, or give --new"
+        )
+    own = stage_field(pathlib.Path(args.field)) if shared.is_stage(args.field) else args.field
+    field = load_field(own, scene_scale=args.scene_scale, device=device)
+    cages = [read_rest(path, args.cage_up, field, part=True, name=args.cage_object)[0] for path in args.cage or ()]
+    if args.selection:
+        cages.append(Cage.from_field(NodeSelection.load(args.selection, field)))
+    if args.demo and (args.new or not kept.exists()):
+        cages = [Cage.load(demo_cage)]
+    options = {
+        "field_path": args.field,
+        "scene_scale": args.scene_scale,
+        "host": args.host,
+        "port": args.port,
+        "allowed_hosts": args.allow_host,
+    }
+    with set_aside(kept) if args.new and kept.exists() else contextlib.nullcontext():
+        editor = edit(field, cages or None, session=kept, **options)
+    with editor:
+        print(f"edit {args.field} at {editor.url}\n(Ctrl+C ends; the session is kept in {kept})", flush=True)
+        if not args.no_browser and not _opened(editor.url):
+            print("no browser could be opened here: open the address above", file=sys.stderr)
+        try:
+            editor.wait()
+        except KeyboardInterrupt as interrupt:  # the way to end it: all is kept
+            if type(interrupt) is not KeyboardInterrupt:  # a signal that asks any program to end
+                raise
+            print()
+
+
+@contextlib.contextmanager
+def set_aside(path: pathlib.Path) -> Iterator[None]:
+    """Give a session's file the first free name of NAME.1.session.json, NAME.2.session.json, ...
+    Where the block ends with an error, it gets its own name back."""
+    other = free_session_path(path)
+    os.rename(path, other)
+    try:
+        yield
+    except BaseException:
+        if not os.path.lexists(path):
+            os.rename(other, path)
+        raise
+    print(f"the session that was there is now {other}")
+
+
+def _opened(url: str) -> bool:
+    try:
+        return webbrowser.open(url)
+    except webbrowser.Error:
+        return False

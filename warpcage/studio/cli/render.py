@@ -1,0 +1,241 @@
+"""`warpcage render` and `animate`: pictures, flights, pictures of many poses, films."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import pathlib
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...cage.cage import Cage
+from ...core.files import check_parent
+from ...core.names import counted
+from ...edits.stage_file import STAGE_ENDING
+from ...errors import InputError
+from ...view import frame_parts
+from ...view.camera import Camera
+from ...view.camera_path import path_cameras
+from ...view.exr import require_openexr
+from ...view.film import FILM_ENDINGS, film_size, require_clear_film
+from ...view.frame_parts import MASKS
+from ...view.motion import cameras_along
+from ...view.pictures import picture_cuts, write_png
+from ..films.edits import Deformation
+from ..films.film import Film, Moment
+from ..films.render import Scene, drawn_cages, picture_task, require_voxels
+from ..films.timeline import Things
+from . import shared
+from .arguments import options
+from .arguments.render import STEPS
+from .cameras import camera_file, camera_keys, check_saved, chosen_camera, save_cameras, sized_cameras, warn_of_edges
+from .shared import read_deformation, read_things, things_of
+
+
+def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
+    """Whether many pictures have opacity. Raises ValueError where their film or folder cannot hold what was asked."""
+    if output.suffix and args.format is not None:
+        raise InputError("--format is for folders of pictures: the ending of a film says what it is")
+    require_format(args.format or "")
+    transparent = shared.is_transparent(args)
+    if transparent:
+        require_clear_film(output)
+    return transparent
+
+
+def require_format(path: str | os.PathLike[str]) -> None:
+    """Raises ValueError for an OpenEXR file where its library is not installed, before any long work."""
+    if os.fspath(path).lower().endswith("exr"):
+        require_openexr()
+
+
+def size_text(width: int, height: int, output: pathlib.Path) -> str:
+    """The size of what is written, in words, and why it is not that of the pictures where it is not."""
+    written = film_size(width, height, output.suffix.lower())
+    cut = f" (cut from {width}x{height}: an MP4 has even sides)" if written != (width, height) else ""
+    return f"{written[0]}x{written[1]}{cut}"
+
+
+def warn_of_masks(shares: dict[str, float], where: str = "the picture") -> None:
+    """Print a line on stderr for each mask that marks anything; where: how the line calls the picture."""
+    for name, share in shares.items():
+        if share > 0:
+            print(f"warpcage: warning: {100 * share:.2f} % of {where} {MASKS[name][1]}", file=sys.stderr)
+
+
+#: Frames per second of films.
+VIDEO_RATE, GIF_RATE = 24, 15
+
+#: Options for one picture, of any number of poses and of any number of cameras.
+SINGLE_POSE = ("disparity", "depth", "alpha", "masks")
+
+SINGLE_CAMERA = (*SINGLE_POSE, "camera", "view", "frame", "eye", "target")
+
+
+def film_of(args: argparse.Namespace, cameras: Sequence[Camera], moment: Moment) -> Film:
+    """The pictures of some cameras, one after the other."""
+    return Film(
+        len(cameras), lambda frames: [cameras[int(frame)] for frame in frames], moment, shared.chosen_look(args)
+    )
+
+
+def posed_moment(
+    args: argparse.Namespace, field: shared.AnyField, deformation: Deformation | None, things: Things | None
+) -> Moment:
+    """The scene in its last pose at all times."""
+    renderer = shared.posed_renderer(field, deformation, args)
+    cages = shared.drawn_cages(renderer, deformation)
+    return lambda frame: (renderer if things is None else things.with_main(renderer), cages)
+
+
+def run_flight(args: argparse.Namespace) -> None:
+    """Render what each of several cameras sees."""
+    if pathlib.Path(args.output).suffix:
+        output = options.check_output(args.output, FILM_ENDINGS, "film (a folder of pictures has no ending)")
+    else:
+        output = _new_folder(args.output, "--cameras writes a new or an empty folder, or a film")
+    checked_opacity(args, output)
+    if args.scene is None:
+        raise InputError("--cameras needs --scene, the scene of the cameras")
+    if given := [name for name in SINGLE_CAMERA if getattr(args, name) is not None]:
+        raise InputError(f"--cameras cannot be combined with --{given[0]}, which is for one picture")
+    check_saved(args)
+    if args.cameras == "given" and args.frames is not None:
+        raise InputError("--frames belongs to --cameras interpolate")
+    field, stage = read_things(args)
+    shared.require_fillable(args, field)
+    cameras = chosen_cameras(args)
+    deformation = read_deformation(args, field)
+    things = things_of(args, field, stage)
+    shared.set_lattice(args, cameras[0])
+    film = film_of(args, cameras, posed_moment(args, field, deformation, things))
+    save_cameras(args, cameras)
+    if output.suffix:
+        rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
+        film.write(output, rate, loop=True)
+    else:
+        film.write_pictures(output / f"view_{index:04d}.{args.format or 'png'}" for index in range(len(cameras)))
+    size = size_text(cameras[0].width, cameras[0].height, output)
+    print(f"wrote {output}: {counted(len(cameras), 'picture')} of {size}")
+
+
+def chosen_cameras(args: argparse.Namespace) -> list[Camera]:
+    """One camera per picture."""
+    if camera_file(args.scene):
+        keys = camera_keys(args, args.scene)
+        if args.cameras == "interpolate":
+            return path_cameras(keys, args.frames or max(1, STEPS * (len(keys) - 1) + 1))
+        return [key.camera for key in keys]
+    cameras = sized_cameras(args, args.scene)
+    if args.cameras == "given":
+        return cameras
+    return cameras_along(cameras, args.frames or max(1, STEPS * (len(cameras) - 1) + 1))
+
+
+def _new_folder(text: str, what: str) -> pathlib.Path:
+    """A folder that holds nothing yet; what: what a message says about it."""
+    path = pathlib.Path(text)
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"{text!r} exists already: {what}")
+    check_parent(path)
+    return path
+
+
+def seen_points(
+    field: shared.AnyField, deformation: Deformation | None, args: argparse.Namespace, things: Things | None
+) -> np.ndarray:
+    """(n, 3) points around what a picture shows, world units."""
+    points = shared.visible_points(field, deformation, args.frame)
+    return points if things is None else things.points(points)
+
+
+def run_many_poses(args: argparse.Namespace) -> None:
+    """Render each of several poses. The field is read once, and its lattice is made once."""
+    folder = _new_folder(args.output, "pictures of several poses go into a new or an empty folder")
+    if given := [name for name in SINGLE_POSE if getattr(args, name) is not None]:
+        raise InputError(f"--{given[0]} is for one picture: give the name of a picture with -o")
+    shared.require_deformation(args, f"the folder {args.output!r}")
+    checked_opacity(args, folder)
+    check_saved(args)
+    field, stage = read_things(args)
+    shared.require_fillable(args, field)
+    deformation = read_deformation(args, field, shared.edit_reader(args, "linear"))
+    assert deformation is not None
+    things = things_of(args, field, stage)
+    camera = chosen_camera(args, seen_points(field, deformation, args, things))
+    shared.set_lattice(args, camera)
+    deformer = shared.make_deformer(field, deformation, args)
+    count = max(1, deformation.pose_count - 1)
+
+    def moment(index: float) -> tuple[Scene, list[Cage]]:
+        number = int(index) + 1
+        try:
+            deformer.pose(deformation.at(float(min(number, deformation.pose_count - 1))))
+        except ValueError as error:
+            raise InputError(f"pose {number} of {count}: {error}") from error
+        return deformer if things is None else things.with_main(deformer), drawn_cages(deformer)
+
+    digits, ending = max(4, len(str(count))), args.format or "png"
+    film_of(args, [camera] * count, moment).write_pictures(
+        folder / f"pose_{number:0{digits}d}.{ending}" for number in range(1, count + 1)
+    )
+    save_cameras(args, [camera])
+    print(f"wrote {folder}: {counted(count, 'picture')} of {camera.width}x{camera.height}")
+
+
+def run_render(args: argparse.Namespace) -> None:
+    if args.overlay:
+        shared.require_deformation(args, "--overlay")
+    if args.cameras is not None:
+        return run_flight(args)
+    if args.scene is not None or args.frames is not None:
+        raise InputError("--scene and --frames belong to --cameras")
+    if not pathlib.Path(args.output).suffix and shared.is_deformed(args):
+        return run_many_poses(args)
+    if args.posed is not None and len(args.posed) > 1:
+        raise InputError(f"{len(args.posed)} poses make as many pictures: give a folder with -o, which has no ending")
+    if args.format is not None:
+        raise InputError("--format is for folders of pictures: the ending of a single one says what it is")
+    output = options.check_output(args.output, (".png", ".exr"), "picture")
+    require_format(output)
+    check_saved(args)
+    shared.is_transparent(args)  # refuses others
+    given = [kind for kind in SINGLE_POSE if getattr(args, kind) is not None]
+    extra = {kind: options.check_output(getattr(args, kind), (".png",), "picture") for kind in given}
+    if args.masks is not None:
+        shared.require_deformation(args, "--masks")
+    if args.save_stage is not None and not shared.is_stage(args.save_stage):
+        raise InputError(f"--save-stage writes a file that ends in {STAGE_ENDING}, got {args.save_stage!r}")
+    field, stage = read_things(args)
+    if args.masks is not None:
+        require_voxels(field, "--masks")
+    shared.require_fillable(args, field)
+    deformation = read_deformation(args, field)
+    things = things_of(args, field, stage)
+
+    camera = chosen_camera(args, seen_points(field, deformation, args, things))
+    warn_of_edges(args, camera, deformation)
+    shared.set_lattice(args, camera)
+    film = film_of(args, [camera], posed_moment(args, field, deformation, things))
+    image, frame, _ = film.taken(0)
+    with picture_cuts(output) as cuts:
+        write, _ = picture_task(output, image, frame, camera, cuts)
+        write()
+    for kind, path in extra.items():
+        write_png(path, frame_parts.picture(frame, kind))
+    save_cameras(args, [camera])
+    if not (frame.alpha > 0.0).any():
+        places = " to ".join(str(corner.round(3).tolist()) for corner in field.bounds)
+        print(
+            f"warpcage: warning: nothing is in the picture: the camera at {camera.center.round(3).tolist()} looks "
+            f"elsewhere than where the field's matter is, {places}",
+            file=sys.stderr,
+        )
+    if args.save_stage is not None and things is not None:
+        things.stage.save(args.save_stage)
+    names = " and ".join(map(str, [output, *extra.values()]))
+    print(f"wrote {names}: {frame.width}x{frame.height}, {100 * float(frame.alpha.mean()):.1f} % covered")
+    if args.masks is not None:
+        warn_of_masks(frame_parts.mask_shares(frame))

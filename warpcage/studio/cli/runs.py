@@ -1,0 +1,319 @@
+"""`warpcage sweep` and `run`: job files of data sets, and what makes their items."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import pathlib
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...cage.cage import Cage
+from ...cage.random_poses import RandomPoses
+from ...core.arrays import box_corners
+from ...core.files import NpyFile
+from ...core.names import BACKGROUNDS, TRANSPARENT, counted
+from ...core.reports import bar, say_above_bar, span_text
+from ...core.threads import cpu_threads
+from ...errors import InputError
+from ...scene.formats.transforms import TransformsCameras
+from ...view.camera import Camera, CameraFile, framing_orbit
+from ..films.words import expected_ups, read_poses, read_rest
+from ..jobs.manifest import Part
+from ..jobs.plan import Forecast, foresee
+from ..jobs.run import RunProgress, RunReport, run_jobs
+from ..jobs.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, write_sweep
+from . import shared
+from .arguments import options
+from .arguments.runs import OWN, USUAL_BACKGROUNDS
+from .cameras import DEFAULT_SIZE, camera_file, file_size, fitted_to, image_size, moved_to_field, sized_cameras
+
+#: Lines about items that failed; the manifest has all.
+MOST_LINES = 10
+
+
+def run_run(args: argparse.Namespace) -> int:
+    part = None if args.part is None else Part.named(args.part)
+    if args.dry_run:
+        if part is not None:
+            raise InputError("--dry-run looks at the whole job: leave out --part")
+        count = args.workers or 1
+        return _say(foresee(args.jobs, args.output, workers=count, cluster=args.cluster, device=args.device))
+    with contextlib.closing(_Bar(args.quiet)) as bar:
+        report = run_jobs(
+            args.jobs,
+            args.output,
+            workers=args.workers,
+            cluster=args.cluster,
+            device=args.device,
+            retries=args.retries,
+            item_timeout=args.item_timeout,
+            part=part,
+            progress=bar.show,
+            warn=say_above_bar,
+        )
+    return _conclude(report, args.output)
+
+
+class _Bar:
+    """The bars of a run: one while items are checked, one while they are made, with throughput and time left."""
+
+    def __init__(self, quiet: bool):
+        self._quiet, self._bar, self._stage = quiet, None, ""
+
+    def close(self) -> None:
+        """Leave the bar as it is."""
+        if self._bar is not None:
+            self._bar.close()
+
+    def show(self, state: RunProgress) -> None:
+        """Show how far the run is."""
+        if state.stage != self._stage:
+            self.close()
+            start = state.kept if state.stage == "make" else 0
+            brief = state.stage == "check"  # gone again: most jobs are looked through at once
+            options: dict[str, Any] = {"stays": not brief, "delay": 0.5 * brief, "unit": " items", "smoothing": 0.1}
+            self._bar = bar(state.total, state.stage, done=start, shown=not self._quiet, **options)
+            self._stage = state.stage
+        assert self._bar is not None
+        if state.failed:
+            self._bar.set_postfix(failed=state.failed, refresh=False)
+        place = state.checked if state.stage == "check" else state.kept + state.done + state.failed
+        self._bar.update(place - self._bar.n)
+
+
+def _conclude(report: RunReport, output: str) -> int:
+    """Say what came of a run; returns the exit status."""
+    rate = f", {report.made / report.seconds:.3g} a second" if report.made and report.seconds else ""
+    print(f"wrote {output}: {counted(report.made, 'item')}{rate}, {report.kept} were there already")
+    for name, line in list(report.failed.items())[:MOST_LINES]:
+        print(f"warpcage: {name}: {line}", file=sys.stderr)
+    if len(report.failed) > MOST_LINES:
+        more = len(report.failed) - MOST_LINES
+        print(f"warpcage: and {more} more, see {output}/manifest.jsonl", file=sys.stderr)
+    if report.failed:
+        print(f"warpcage: error: {counted(len(report.failed), 'item')} failed", file=sys.stderr)
+    if report.halt is not None:
+        left = f"{counted(report.left, 'item')} left: the same command makes them once there is room"
+        print(f"warpcage: error: {report.halt}; {left}", file=sys.stderr)
+    return 0 if report.complete else 1
+
+
+def _say(forecast: Forecast) -> int:
+    """Print what a run would do."""
+    plan = forecast.plan
+    print(f"{counted(plan.total, 'item')}: {plan.kept} are there already and unchanged")
+    made = plan.total - plan.kept
+    kinds = ", ".join(counted(count, kind) for kind, count in forecast.counts.items())
+    notes = [
+        f"{count} {what}"
+        for count, what in (
+            (plan.changed, "of them changed since they were made"),
+            (plan.failed_before, "of them failed before"),
+        )
+        if count
+    ]
+    if made:
+        print(
+            f"{made} would be made: {kinds}, in {counted(plan.group_count, 'group')}" + "".join(f", {n}" for n in notes)
+        )
+    for kind, each in forecast.measured.items():
+        first = "".join(
+            f", and {seconds:.3g} s more for the first of a {what}"
+            for seconds, what in ((each.pose_seconds, "pose"), (each.load_seconds, "group"))
+            if seconds > 0
+        )
+        print(f"one {kind} takes {each.seconds:.3g} s{first} (measured: {each.source})")
+    if forecast.measured:
+        print(f"about {span_text(forecast.seconds)} by {counted(forecast.workers, 'worker')}")
+    if forecast.unpaid is not None:
+        print(forecast.unpaid)
+    wrong = forecast.errors | forecast.missing
+    for name, line in wrong.items():
+        print(f"warpcage: {name}: {line}", file=sys.stderr)
+    if forecast.missing_count:
+        count = counted(forecast.missing_count, "item")
+        print(f"warpcage: error: what {count} would read is not there", file=sys.stderr)
+    return 1 if wrong else 0
+
+
+#: Degrees above the horizon of the cameras of orbit:N.
+ELEVATION = 20.0
+
+
+def run_sweep(args: argparse.Namespace) -> None:
+    output = options.check_output(args.output, (".jsonl", ".json"), "job file")
+    image_size(args)
+    background = _background(args)
+    _check_words(args)
+    field = shared.read_field(args)
+    rest, expected = read_rest(args.cage, args.cage_up, field, name=args.cage_object)
+    sources = _pose_sources(args, rest, expected)
+    shown, up = shared.visible_points(field, None, None), tuple(field.up.tolist())
+    given = _given_cameras(args)
+    defaults = {
+        "density": args.density,
+        "map": args.map,
+        "antialias": args.antialias,
+        "background": background,
+        "resolution": None if args.resolution == options.BY_SIZE else args.resolution or "precise",
+        "up": args.cage_up,
+        "object": args.cage_object,
+        "falloff": args.falloff,
+        "supersampling": args.supersampling,
+        "scene_scale": None if args.scene_scale == 1.0 else args.scene_scale,
+    }
+    records = {"kind": args.records, "image": args.image, "depth": args.depth, "alpha": args.alpha}
+    if args.records == "webdataset":
+        records["items_per_shard"] = args.items_per_shard
+    made = write_sweep(
+        output,
+        field=args.field,
+        cage=args.cage,
+        rest=rest,
+        sources=sources,
+        cameras=given or (lambda bounds: _made_cameras(args, np.concatenate([shown, bounds]), up)),
+        coordinates=args.coordinates,
+        views=args.views,
+        seed=args.seeds[0],
+        records=records,
+        defaults={word: value for word, value in defaults.items() if value is not None},
+    )
+    files = [str(path) for path in (made.poses, made.cameras) if path is not None]
+    beside = f"; beside it {', '.join(files)}" if files else ""
+    poses = counted(sum(map(len, sources)), "pose")
+    print(f"wrote {made.jobs}: {counted(made.items, 'picture')} of {poses}{beside}")
+    print(f"warpcage run {made.jobs} -o FOLDER makes them")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Told(RandomSource):
+    """Random poses, with a bar of how many are drawn."""
+
+    quiet: bool = False
+
+    def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
+        count = len(self) if most is None else min(most, len(self))
+        yield from bar(count, "poses", shown=not self.quiet, stays=False, iterable=super().rows(most))
+
+
+def _check_words(args: argparse.Namespace) -> None:
+    """Refuse what cannot be before anything is loaded."""
+    for text in args.poses:
+        _random_count(text, "--poses")
+    if re.match(r"orbit(:|$)", args.cameras):
+        _orbit_words(args.cameras)
+    if _random_count(args.cameras, "--cameras") is not None and args.views is not None:
+        raise InputError("--views chooses among cameras that all poses share: random:N makes N for each pose anew")
+    if len(set(args.seeds)) < len(args.seeds):
+        raise InputError(f"--seeds names one twice: {' '.join(map(str, args.seeds))}")
+    if args.resolution is None and "harmonic" in args.coordinates:
+        raise InputError("harmonic coordinates have no closed form: --resolution precise is for mean_value and green")
+
+
+def _background(args: argparse.Namespace) -> str | list[float] | None:
+    """What stands behind pictures, as items have it; None is the field's own."""
+    given = USUAL_BACKGROUNDS[args.image] if args.background is None else args.background
+    known = (*BACKGROUNDS, TRANSPARENT, OWN)
+    if isinstance(given, str) and given not in known:
+        raise InputError(
+            f"--background {given!r} is not known: {', '.join(known)}, or three numbers in [0, 1] such as 0.2,0.3,0.4"
+        )
+    if given == OWN:
+        return None
+    if given == TRANSPARENT and args.image == "jpg":
+        raise InputError("a JPEG has no opacity: take --image png, or another --background")
+    return given if isinstance(given, str) else list(given)
+
+
+def _random_count(text: str, option: str) -> int | None:
+    """N of random:N, None for other words."""
+    if not re.match(r"random(:|$)", text):
+        return None
+    found = re.fullmatch(r"random:(\d{1,9})", text)
+    if found is None or int(found[1]) < 1:
+        raise InputError(f"{option} {text!r} must be random:N, N at least 1")
+    return int(found[1])
+
+
+def _pose_sources(args: argparse.Namespace, rest: Cage, expected: dict[str, str]) -> list[PoseSource]:
+    """The poses of --poses in their order."""
+    up, sources = shared.posed_up(args), []
+    files = [text for text in args.poses if _random_count(text, "--poses") is None and not _is_array(text)]
+    likely = expected_ups(rest, files, expected) if up is None else None
+    for text in args.poses:
+        count = _random_count(text, "--poses")
+        if count is not None:
+            options_ = {"stretch": args.stretch, "reach": args.reach, "modes": args.modes}
+            drawn = [RandomPoses(rest, seed=seed, **options_) for seed in args.seeds]
+            sources += [_Told(poses, count, args.write_poses, cpu_threads(), args.quiet) for poses in drawn]
+        elif _is_array(text):
+            sources.append(_array_source(text, rest))
+        else:
+            cages = read_poses(rest, text, up, expected=likely)
+            sources.append(GivenSource([cage.vertices for cage in cages], text))
+    return sources
+
+
+def _is_array(text: str) -> bool:
+    return text.lower().endswith(".npy")
+
+
+def _array_source(text: str, rest: Cage) -> GivenSource:
+    """The poses of a file of vertices."""
+    file = NpyFile(text)
+    shape = file.shape if len(file.shape) == 3 else (1, *file.shape)
+    if shape[1:] != rest.vertices.shape:
+        raise InputError(f"{text} must hold (poses, {len(rest.vertices)}, 3) vertices of the cage, got {file.shape}")
+    return GivenSource(file.read().reshape(shape), text)
+
+
+def _given_cameras(args: argparse.Namespace) -> list[Camera] | None:
+    """The cameras of files that --cameras names; None for those that are made."""
+    text = args.cameras
+    if re.match(r"(random|orbit)(:|$)", text):
+        return None
+    if pathlib.Path(text).name.startswith("transforms") and text.lower().endswith(".json"):
+        file = TransformsCameras(text)
+        found = [file.camera(str(index), file_size(args)) for index in range(len(file))]
+        return [fitted_to(moved_to_field(args, camera), args) for camera in found]
+    named = camera_file(text)
+    if named is None:
+        options.require_folder(text if pathlib.Path(text).exists() else text.rpartition(":")[0] or text)
+        return sized_cameras(args, text)
+    path, name = named
+    cameras = CameraFile.load(path, size=file_size(args))
+    chosen = [cameras.named(name)] if name else [key.camera for key in cameras]
+    return [fitted_to(camera, args) for camera in chosen]
+
+
+def _made_cameras(
+    args: argparse.Namespace, points: np.ndarray, up: tuple[float, ...]
+) -> Sequence[Camera] | RandomViews:
+    """The cameras of orbit:N and random:N, which see the bounding box of points (n, 3)."""
+    points = box_corners([points.min(axis=0), points.max(axis=0)])
+    width, height = image_size(args) or DEFAULT_SIZE
+    count = _random_count(args.cameras, "--cameras")
+    if count is not None:
+        return RandomViews(count, points, args.seeds[0], up, args.fov, width, height)
+    number, elevation = _orbit_words(args.cameras)
+    return framing_orbit(
+        points, number, elevation_degrees=elevation, up=up, fov_degrees=args.fov, width=width, height=height
+    )
+
+
+def _orbit_words(text: str) -> tuple[int, float]:
+    """Number and elevation of orbit:N[:ELEVATION]."""
+    found = re.fullmatch(r"orbit:(\d{1,6})(?::(-?\d+(?:\.\d+)?))?", text)
+    elevation = ELEVATION if found is None or found[2] is None else float(found[2])
+    if found is None or int(found[1]) < 1 or not -90.0 < elevation < 90.0:
+        raise InputError(
+            f"--cameras {text!r} must be orbit:N or orbit:N:ELEVATION, N at least 1, the elevation in degrees between "
+            "-90 and 90"
+        )
+    return int(found[1]), elevation

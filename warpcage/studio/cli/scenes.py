@@ -1,0 +1,163 @@
+"""`warpcage capture`, `fit` and `evaluate`: from pictures to fields, and how good they are."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pathlib
+
+from ...core.files import atomic_path
+from ...core.names import FIT_BACKGROUNDS, counted
+from ...errors import InputError
+from ...field.voxel_field import VoxelField
+from ...fitting.cameras import tuned_scene
+from ...fitting.evaluation import (
+    comparison,
+    error_image,
+    evaluation_report,
+    in_world_of,
+    moved_scene,
+    refined_cameras_of,
+)
+from ...fitting.fit import fit
+from ...fitting.memory import memory_size
+from ...render.belonging import SceneViews
+from ...scene.formats.datasets.splatting import is_output
+from ...splats.splat_field import SplatField
+from ...view.pictures import side_by_side, write_png
+from ..captures.capture import capture
+from ..films.render import require_voxels
+from . import shared
+from .arguments import options
+
+
+def run_capture(args: argparse.Namespace) -> None:
+    report = capture(
+        args.source,
+        args.output,
+        pictures=args.pictures,
+        masks=args.masks,
+        turntable=args.turntable,
+        frames=args.frames,
+        feature_size=args.feature_size,
+        seed=args.seed,
+        progress=not args.quiet,
+    )
+    print(f"wrote {args.output}: {report.summary()}")
+    for sentence in report.advice:
+        print(f"  {sentence}")
+    print(f"  warpcage fit {args.output} -o place.ply makes splats of it: best for whole captures")
+
+
+def run_evaluate(args: argparse.Namespace) -> None:
+    report = None if args.json is None else options.check_output(args.json, (".json",), "report")
+    worst = None if args.worst is None else options.check_output(args.worst, (".png",), "picture")
+    if args.scene is None:
+        if not is_output(pathlib.Path(args.field)):
+            raise InputError("give the folder of the scene: only output folders of 3D Gaussian Splatting name theirs")
+        args.scene = args.field
+    options.require_folder(args.scene)
+    field = shared.read_field_file(args)
+
+    background = field.background if args.background is None else args.background
+    scene = shared.read_scene(args, background)
+    field = shared.in_world_of_scene(args, field, (pathlib.Path(args.scene), SceneViews.of(scene)))
+    scene, given = in_world_of(field, scene), None
+    if args.tune_cameras:
+        scene = tuned_scene(require_voxels(field, "--tune-cameras"), scene)
+        print("the poses of these views were fitted to the field: the figures say how good it is, not where they are")
+    elif refined_cameras_of(field) is not None and not args.given_cameras:
+        scene, given = moved_scene(field, scene), scene
+        print("the cameras of these views moved along with those near them that the fit refined; no view was looked at")
+    found = evaluation_report(field, scene, given=given, progress=not args.quiet)
+    rows, index = found.rows, scene.names.index(found.rows[found.worst]["view"])
+    width = max(len("view"), *(len(row["view"]) for row in rows))
+    similarities, masked = found.mean_ssim is not None, found.mean_masked_psnr is not None
+    means = {"view": "mean", "psnr": found.mean_psnr, "ssim": found.mean_ssim, "masked_psnr": found.mean_masked_psnr}
+    print(f"{'view':{width}}  PSNR dB" + ("    SSIM" if similarities else "") + ("  in mask dB" if masked else ""))
+    for row in [*rows, means]:
+        print(
+            f"{row['view']:{width}}  {row['psnr']:7.2f}"
+            + (f"  {row['ssim']:6.4f}" if row.get("ssim") is not None else " " * 8 * similarities)
+            + (f"  {row['masked_psnr']:10.2f}" if row.get("masked_psnr") is not None else "")
+        )
+    if found.given_psnr is not None:
+        print(f"with the cameras as they were given the mean is {found.given_psnr:.2f} dB")
+    if worst is not None:
+        behind, images = comparison(field, scene)
+        rgb = field.render(scene.cameras[index], background=behind).rgb
+        image = scene.cut(index, images[index])
+        write_png(worst, side_by_side([image, rgb, error_image(rgb, image)]))
+        print(f"wrote {worst}: view {scene.names[index]}, its picture, the render, and their difference")
+    if report is not None:
+        content = {
+            "field": args.field,
+            "scene": args.scene,
+            "split": args.split,
+            "downscale": args.downscale,
+            "tuned_cameras": args.tune_cameras,
+            **found.to_json(),
+        }
+        with atomic_path(report) as temporary:
+            temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+#: Options of `warpcage fit` that only one kind of field has.
+VOXEL_OPTIONS = ("resolution", "epochs", "variation", "bounds", "refine_cameras", "check_cameras")
+SPLAT_OPTIONS = ("steps", "most_splats")
+
+
+def run_fit(args: argparse.Namespace) -> None:
+    kind, endings = args.representation, shared.splat_outputs()
+    if kind is None:
+        kind = "splats" if args.output.lower().endswith(endings) else "voxels"
+    output = options.check_output(args.output, endings if kind == "splats" else (".npz",), "field file")
+    checkpoint = None if args.checkpoint is None else options.check_output(args.checkpoint, (".npz",), "checkpoint")
+    preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
+    for name in VOXEL_OPTIONS if kind == "splats" else SPLAT_OPTIONS:
+        if getattr(args, name):
+            raise InputError(f"--{name.replace('_', '-')} is not for fits of {kind}")
+    if args.max_memory is not None:
+        args.max_memory = memory_size(args.max_memory)
+    options.require_folder(args.scene)
+    device = shared.chosen_device(args)
+
+    names_behind = args.background in FIT_BACKGROUNDS
+    if kind == "splats" and args.background in ("outer", "layers"):
+        raise InputError(f"--background {args.background} is for voxels: splats reach as far as the pictures do")
+    behind = args.background if names_behind else "auto"
+    color = "white" if names_behind or args.background is None else args.background
+    scene = shared.read_scene(args, color, orient="up" if args.straighten else None)
+    names = ("resolution", "epochs", "variation", "max_memory", "steps", "most_splats", "refine_cameras")
+    given = {name: getattr(args, name) for name in names if getattr(args, name)}
+    if args.check_cameras:
+        given["refine_cameras"] = "auto"
+    if args.bounds is not None:
+        given["bounds"] = [args.bounds[:3], args.bounds[3:]]
+    field = fit(
+        scene,
+        representation=kind,
+        quality=args.quality,
+        device=device,
+        seed=args.seed,
+        progress=not args.quiet,
+        background=behind,
+        checkpoint=checkpoint,
+        checkpoint_seconds=args.checkpoint_seconds,
+        preview=preview,
+        **given,
+    )
+    field.save(output)
+    if isinstance(field, VoxelField) and field.refined_cameras is not None:
+        beside = field.refined_cameras.save(output.with_suffix(".cameras.json"))
+        print(f"wrote {beside}: {counted(len(field.refined_cameras), 'refined camera')}")
+    print(f"wrote {output}: {_described(field)}, {output.stat().st_size / 1e6:.1f} MB")
+
+
+def _described(field: VoxelField | SplatField) -> str:
+    """What a field is made of."""
+    if isinstance(field, SplatField):
+        return counted(field.splat_count, "splat")
+    size = "x".join(str(n) for n in field.resolution)
+    behind = "" if field.background_model is None else f", {field.background_model.summary}"
+    return f"{counted(field.voxel_count, 'voxel')} in a grid of {size}{behind}"

@@ -1,0 +1,33 @@
+"""The editor: a page in the browser where a person poses cages and sees the scene follow."""
+# A `document` never changes: each of `commands` makes a new one, and undo keeps the old. `session` holds the newest,
+# saves it, tells listeners; `renderer` makes pictures; `server` and `clients` bring them to `page/`, modules unbuilt.
+
+from ...package import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "commands": "COMMANDS moved_keys moved_rest preset_pose replace_cage run_command slide",
+        "demo": "demo_files",
+        "checks": "MAX_ID MAX_PLACE frozen_vertices parsed_json",
+        "document": "Document Key MAIN Selection Settings Thing Timeline View checked_view new_edit",
+        "edit": "Editor",
+        "exports": ("Film export_baked export_cage export_command export_film export_poses film_pictures"),
+        "inspection": "Inspector inspect inspector",
+        "pictures.renderer": (
+            "COARSE_CELLS FRAME LEAST_SIDE Pace Renderer Request band_camera depth_size frame_pixels joined_pixels "
+            "packed_frame"
+        ),
+        "pictures.scene": "Fields PosedScene same_pose view_camera",
+        "server": "Server",
+        "session": "Session file_stamp free_session_path new_document read_session session_path write_session",
+        "steps.history": "DEPTH History read_history",
+        "steps.losses": "losses",
+        "tasks": "Cancelled Jobs MAX_JOBS MAX_UNFINISHED Outcome",
+        "things": "field_files read_fields stage_of with_new_thing with_stage",
+        "timeline": (
+            "document_at frame_rate frame_times load_poses looped_time place_files placed_at pose_file state_at ways "
+            "with_camera_moves with_pose_file"
+        ),
+    },
+)

@@ -1,0 +1,263 @@
+"""The scene of a document, posed and ready to be rendered."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+
+from ....cage.cage import Cage
+from ....cage.walls import cut_faces
+from ....core.arrays import box_corners
+from ....deform.deformer import Deformer
+from ....deform.stage import Stage
+from ....edits.edits import CageEdit
+from ....edits.place import seen_from
+from ....errors import InputError
+from ....field.voxel_field import VoxelField
+from ....mesh.validity import require_usable
+from ....render.surface_mesh import AnyThing
+from ....splats.splat_field import AnyField
+from ....view.camera import Camera
+from ....view.frame import Frame
+from ...films.render import Look
+from ..document import MAIN, Background, Document, Edit, Settings, Thing, View
+
+#: Deformers that are kept for one set of edits, one per resolution: a moving hand and a resting one may have two.
+KEPT_DEFORMERS = 2
+
+#: Rows of the picture that a click is taken in: finer than any page's.
+CLICK_ROWS = 4096
+
+#: Pixels of less opacity hide nothing.
+HIDING_ALPHA = 0.5
+
+
+def view_camera(view: View, width: int, height: int) -> Camera:
+    """The camera of a view, with square pixels, for a picture of so many pixels."""
+    focal = 0.5 * height / math.tan(math.radians(view.fov) / 2)
+    looking = Camera.look_at(view.eye, view.target, up=view.up, width=width, height=height)
+    return dataclasses.replace(looking, fx=focal, fy=focal)
+
+
+def clicked_pixel(view: View, across: float, down: float, aspect: float) -> tuple[tuple[int, int], Camera]:
+    """The pixel of a click, and the camera that it is of; across, down: shares of a page's picture of this aspect."""
+    width, height = round(CLICK_ROWS * aspect), CLICK_ROWS
+    pixel = min(int(across * width), width - 1), min(int(down * height), height - 1)
+    return pixel, view_camera(view, width, height)
+
+
+class Fields:
+    """The fields and meshes of a session's things: its own, and others by their files' names, which copies share."""
+
+    def __init__(self, main: AnyField):
+        self.main = main
+        self.files: dict[str, AnyThing] = {}  # seen from the session's folder
+
+    @classmethod
+    def of(cls, fields: AnyField | Fields) -> Fields:
+        """Fields as they are, or of a session with one thing."""
+        return fields if isinstance(fields, Fields) else cls(fields)
+
+    def field(self, thing: Thing) -> AnyThing:
+        """The field of a thing. Raises ValueError where it was not read."""
+        if thing.file is None:
+            return self.main
+        if thing.file not in self.files:
+            raise InputError(f"the file of {thing.name!r}, {thing.file}, was not read: it was added elsewhere")
+        return self.files[thing.file]
+
+    def bounds(self, document: Document) -> np.ndarray:
+        """(2, 3) box of all things where they stand, world units; of hidden ones too."""
+        boxes = [thing.place.moved(box_corners(self.field(thing).bounds)) for thing in document.things]
+        return np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
+
+
+class PosedScene:
+    """The scene of a document, posed and ready to be rendered. One thread at a time may use it."""
+
+    def __init__(self, fields: AnyField | Fields):
+        self.fields = Fields.of(fields)
+        self._posed: dict[int, PosedThing] = {}  # by the number of the thing
+        self.stage: Stage | None = None  # of the last `prepare`; None for the session's own field in its own place
+
+    def posed(self, number: int) -> AnyThing | Deformer:
+        """A thing of the last `prepare` in which it was seen: a Deformer, or its field where that is as it is."""
+        thing = self._posed[number]
+        return thing.deformer or thing.field
+
+    def prepare(self, document: Document, resolution: int | None = None) -> None:
+        """Make the scene of a document's things, edits and settings; where that fails, the scene before stays.
+        `resolution`: cells of the lattices along the longest side of a cage, None is that of the settings."""
+        things = [thing for thing in document.things if thing.visible]
+        for thing in things:
+            field, posed = self.fields.field(thing), self._posed.get(thing.id)
+            if posed is None:
+                posed = self._posed[thing.id] = PosedThing(field)
+            posed.prepare(document.edits_of(thing.id), document.settings, resolution)
+        for gone in set(self._posed) - {thing.id for thing in document.things} - {MAIN}:
+            del self._posed[gone]
+        if things == [document.things[0]] and not document.is_staged:
+            self.stage = None
+            return
+        stage = Stage(device=self.fields.main.device)
+        for thing in things:
+            stage.add(str(thing.id), self.posed(thing.id), place=thing.place)
+        self.stage = stage
+
+    def render(
+        self,
+        camera: Camera,
+        background: Background = None,
+        coarse: float = 1.0,
+        supersampling: int | None = None,
+        fill: bool = False,
+    ) -> Frame:
+        """The view of a camera of the scene that was prepared last; a field without a Deformer has no masks.
+        `coarse`: march steps that are taken as one; for `fill`, of the session's own field alone, see `fill_unseen`."""
+        if self.stage is None:
+            return self._posed[MAIN].render(camera, background, coarse, supersampling, fill)
+        return self.stage.render(camera, background=background, supersampling=supersampling, step_scale=coarse)
+
+    def thing_at(self, view: View, across: float, down: float, aspect: float) -> int | None:
+        """The thing that a click meets first, or None; across, down: shares of a picture of this aspect."""
+        if self.stage is None:
+            return MAIN
+        (x, y), looking = clicked_pixel(view, across, down, aspect)
+        pixels = dataclasses.replace(looking, cx=looking.cx - x, cy=looking.cy - y, width=1, height=1)
+        met = []
+        for name, item in self.stage.items.items():
+            place = item.places.at(0.0)
+            frame = item.thing.render(seen_from(place, pixels), background="transparent", supersampling=1)
+            if float(frame.alpha.mean()) >= HIDING_ALPHA:
+                met.append((float(frame.depth.mean()) * place.scale, int(name)))
+        return min(met)[1] if met else None
+
+
+class PosedThing:
+    """A field or mesh and its edits, posed and ready to be rendered. One thread at a time may use it.
+    A Deformer is made only when what it is made of changes; a changed pose is posed, an unchanged one left as it is."""
+
+    def __init__(self, field: AnyThing):
+        self.field = field
+        self.deformer: Deformer | None = None  # of the last `prepare`; None where the field is shown as it is
+        self._edits: tuple[Edit, ...] = ()  # what the kept Deformers and cages are made of
+        self._options: tuple[str, str] = ("", "")
+        self._rest: list[Cage] = []
+        self._kept: dict[int, Deformer] = {}  # by resolution, the last used one at the end
+        self._posed: dict[int, list[np.ndarray]] = {}  # the vertices that each of them is posed with
+
+    def prepare(self, edits: Sequence[Edit], settings: Settings, resolution: int | None = None) -> None:
+        """Pose the field by edits; where that fails, the pose before stays; see `PosedScene.prepare`."""
+        edits = tuple(edit for edit in edits if edit.visible)
+        if not edits or settings.mode == "rest":
+            self.deformer = None
+            return
+        cells = settings.resolution if resolution is None else resolution
+        options = (settings.coordinates, settings.density)
+        same = options == self._options and _same_rest(edits, self._edits)
+        rest = self._rest if same else [Cage(edit.rest, edit.faces) for edit in edits]
+        posed = [
+            None if edit.kind == "remove" else cage.with_vertices(edit.posed)
+            for edit, cage in zip(edits, rest, strict=True)
+        ]
+        kept = self._kept if same else {}
+        deformer = kept.get(cells)
+        vertices = [edit.posed for edit in edits]
+        if deformer is None:
+            coordinates, density = cast(tuple[Any, Any], options)  # names, which documents check
+            deformer = Deformer(
+                self.field, self._cage_edits(edits, rest), coordinates=coordinates, resolution=cells, density=density
+            )
+            _pose(deformer, edits, posed)
+        elif not _same_arrays(vertices, self._posed.get(cells, [])):
+            self._posed.pop(cells, None)
+            _pose(deformer, edits, posed)
+        if not same:
+            self._kept, self._posed = {}, {}
+        self._edits, self._options, self._rest, self.deformer = edits, options, rest, deformer
+        self._kept.pop(cells, None)
+        self._kept[cells], self._posed[cells] = deformer, vertices
+        while len(self._kept) > KEPT_DEFORMERS:
+            oldest = next(iter(self._kept))
+            del self._kept[oldest], self._posed[oldest]
+
+    def render(
+        self,
+        camera: Camera,
+        background: Background = None,
+        coarse: float = 1.0,
+        supersampling: int | None = None,
+        fill: bool = False,
+    ) -> Frame:
+        """The view of a camera of what was posed last, or of the field itself; see `PosedScene.render`."""
+        options: dict[str, Any] = {}
+        if isinstance(self.field, VoxelField):
+            options["step"] = None if coarse == 1.0 else coarse * self.field.step
+        frame = Look(background, fill, supersampling).render(self.deformer or self.field, camera, **options)
+        if "filled" in frame.arrays:
+            device = frame.arrays["alpha"].device
+            frame.arrays["rgb"] = wp.array(frame.rgb.reshape(-1, 3), dtype=wp.vec3, device=device)  # as the others
+        return frame
+
+    def _cage_edits(self, edits: Sequence[Edit], rest: Sequence[Cage]) -> list[CageEdit]:
+        """The edits as a Deformer takes them."""
+        for edit, cage in zip(edits, rest, strict=True):
+            require_usable(cage, f"the rest cage of {edit.name!r}")
+        made = [edit.edit_of(cage) for edit, cage in zip(edits, rest, strict=True)]
+        if not isinstance(self.field, VoxelField):
+            return made
+        for edit, one in zip(edits, made, strict=True):
+            if one.falloff > 0.0 and one.held == "cut" and not len(cut_faces(one.cage, self.field)):
+                raise InputError(
+                    f"{edit.name!r} has a fade, but no side of its cage cuts through the object: nothing tears there. "
+                    "Set the fade to 0, or let it fade at the sides that are not moved"
+                )
+        return made
+
+
+def _pose(deformer: Deformer, edits: Sequence[Edit], posed: list[Cage | None]) -> None:
+    """Pose a Deformer, or say which edit cannot be posed."""
+    for edit, cage in zip(edits, posed, strict=True):
+        if cage is not None:
+            require_usable(cage, f"the posed cage of {edit.name!r}")
+    deformer.pose(posed)
+
+
+def _same_rest(edits: Sequence[Edit], others: Sequence[Edit]) -> bool:
+    """Whether a Deformer of some edits is a Deformer of others too."""
+
+    def kinds(of: Sequence[Edit]) -> list[tuple]:
+        return [(edit.kind, edit.falloff, edit.held, edit.fragments) for edit in of]
+
+    return kinds(edits) == kinds(others) and _same_arrays(
+        [array for edit in edits for array in (edit.faces, edit.rest)],
+        [array for edit in others for array in (edit.faces, edit.rest)],
+    )
+
+
+def _same_arrays(arrays: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
+    """Whether arrays hold the same. Documents share most of them, and those need no look."""
+    return len(arrays) == len(others) and all(
+        one is two or np.array_equal(one, two) for one, two in zip(arrays, others, strict=True)
+    )
+
+
+def same_pose(one: Document, two: Document) -> bool:
+    """Whether two documents pose the scene alike. They share what did not change, so a look at each array is enough."""
+    options = ("mode", "coordinates", "density")
+    return (
+        all(getattr(one.settings, name) == getattr(two.settings, name) for name in options)
+        and len(one.edits) == len(two.edits)
+        and all(
+            a.posed is b.posed
+            and a.rest is b.rest
+            and (a.kind, a.visible, a.falloff, a.held) == (b.kind, b.visible, b.falloff, b.held)
+            and a.fragments == b.fragments
+            for a, b in zip(one.edits, two.edits, strict=True)
+        )
+    )

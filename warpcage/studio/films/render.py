@@ -1,0 +1,135 @@
+"""How frames of a scene are rendered, one after another, which part of them pictures show, and what writes these."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ...cage.cage import Cage
+from ...core.checks import Cuts
+from ...core.files import PathLike, atomic_path
+from ...core.names import TRANSPARENT
+from ...deform.deformer import Deformer
+from ...deform.fill import fill_unseen
+from ...deform.posed import PosedDeformer
+from ...deform.stage import Stage
+from ...errors import InputError
+from ...field.voxel_field import VoxelField
+from ...mesh.mesh import ClosedMesh
+from ...render.surface_mesh import AnyThing
+from ...splats.splat_field import AnyField, SplatField
+from ...view import frame_parts
+from ...view.camera import Camera
+from ...view.exr import write_picture
+from ...view.film import write_film_frame
+from ...view.frame import Frame, depth_along_view
+from ...view.opacity import rgba_picture
+
+#: What renders frames.
+Scene: TypeAlias = AnyThing | Deformer | PosedDeformer | Stage
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """How frames are rendered, and what their pictures show."""
+
+    background: Any = None  # a colour, "transparent", or None: the field's own
+    fill: bool = False  # whether what an edit uncovers and no picture showed is filled, see `fill_unseen`
+    supersampling: int | None = None  # rays along a pixel's side; None is the field's
+    antialias: bool | None = None  # of splats, whether small ones are weakened; None: as their file says
+    show: str = "rgb"  # what `frame_parts.picture` shows
+    overlay: bool = False  # whether edges of cages are drawn
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether pictures have opacity instead of a background."""
+        return isinstance(self.background, str) and self.background == TRANSPARENT
+
+    def render(self, scene: Scene, camera: Camera, **options: Any) -> Frame:
+        """The view of a camera; options: more of `render`."""
+        given = {name: getattr(self, name) for name in ("background", "supersampling", "antialias")}
+        frame = scene.render(camera, **{name: value for name, value in given.items() if value is not None}, **options)
+        if not self.fill or frame.reveal is None or isinstance(scene, Stage):
+            return frame
+        field = scene.deformer if isinstance(scene, PosedDeformer) else scene
+        field = field.field if isinstance(field, Deformer) else field
+        return fill_unseen(frame, require_voxels(field, "fill"), camera)
+
+    def picture(
+        self, frame: Frame, camera: Camera, cages: Sequence[ClosedMesh] = (), scale: tuple[float, float] | None = None
+    ) -> np.ndarray:
+        """What is shown of a frame, (h, w, 3), (h, w) or, with straight opacity, (h, w, 4).
+        cages: those of an overlay; scale: low and high disparity, None for those of the frame."""
+        drawn = cages if self.overlay else ()
+        if self.show == "rgb" and self.is_clear:
+            return rgba_picture(frame, camera, drawn)
+        return frame_parts.picture(frame, self.show, camera, drawn, scale)
+
+
+class HeldPose:
+    """A Deformer that renders frame after frame: it is posed only where its cages move."""
+
+    def __init__(self, deformer: Deformer):
+        self.deformer = deformer
+        self._held: tuple[bytes | None, ...] | None = None
+
+    def pose(self, cages: Sequence[Cage | None]) -> bool:
+        """Move the cages, one an edit, None for one that removes; returns whether that was to be done."""
+        pose = tuple(None if cage is None else cage.vertices.tobytes() for cage in cages)
+        if pose == self._held:
+            return False
+        self._held = None  # should this fail, the next frame poses anew
+        self.deformer.pose(cages)
+        self._held = pose
+        return True
+
+
+def drawn_cages(deformer: Deformer, posed: Sequence[Cage | None] | None = None) -> list[Cage]:
+    """The cages that an overlay shows: posed ones, with held walls at rest; at rest those whose content is removed.
+    posed: those of a pose that is not its own."""
+    posed = posed or deformer.deformed or [None] * len(deformer.edits)
+    return [edit.cage if cage is None else cage for edit, cage in zip(deformer.edits, posed, strict=True)]
+
+
+def require_voxels(field: AnyThing, what: str) -> VoxelField:
+    """A field of voxels. Raises ValueError for others; what: what is asked for, as the message begins."""
+    if not isinstance(field, VoxelField):
+        kind = "splats" if isinstance(field, SplatField) else "triangles"
+        raise InputError(f"{what} is for fields of voxels (.npz), this one is of {kind}")
+    return field
+
+
+def require_fillable(field: AnyField, what: str) -> None:
+    """Raises ValueError where there is nothing to fill; what: the option, as the message begins."""
+    if require_voxels(field, what).background_model is None:
+        raise InputError(f"{what}: behind this field there is one colour, so that nothing is missing where it shows")
+
+
+def finished(image: np.ndarray) -> np.ndarray:
+    """A picture that nobody changes any more: a film takes it without a copy."""
+    image.flags.writeable = False
+    return image
+
+
+def picture_task(
+    path: str | os.PathLike[str], image: np.ndarray, frame: Frame, camera: Camera, cuts: Cuts
+) -> tuple[Callable[[], None], int]:
+    """What writes a picture of a frame, .png, .npz, or .exr with its depth, in any thread, and the bytes it holds.
+    cuts: counts what is cut of all pictures of a film."""
+    # It needs neither the frame any more, nor what that has on a device.
+    if os.fspath(path).lower().endswith(".npz"):
+        return functools.partial(_write_film_frame, path, image, cuts), image.nbytes
+    depth = depth_along_view(frame, camera) if os.fspath(path).lower().endswith(".exr") else None
+    write = functools.partial(write_picture, path, image, depth, cuts=cuts)
+    return write, image.nbytes + (0 if depth is None else depth.nbytes)
+
+
+def _write_film_frame(path: PathLike, image: np.ndarray, cuts: Cuts) -> None:
+    """The frame of a film with 16 bits, whole or not at all."""
+    with atomic_path(path) as temporary:
+        write_film_frame(temporary, image, cuts=cuts)

@@ -1,0 +1,223 @@
+"""A film in time: its poses, its camera, and what stands beside its field, at each frame and between two."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from ...cage.cage import Cage
+from ...cage.pose_file import PoseFile
+from ...coordinates.coordinates import deform_points
+from ...core.arrays import box_corners
+from ...deform.deformer import Deformer
+from ...deform.stage import Stage
+from ...edits.edits import CageEdit
+from ...edits.place import PlaceFile
+from ...errors import InputError
+from ...field.io.selection_file import SELECTION_ENDINGS
+from ...field.selection import NodeSelection
+from ...splats.splat_field import AnyField, SplatField
+from ...view.camera import Camera, CameraKey
+from ...view.camera_path import MovingCamera, camera_at, path_cameras
+from ...view.motion import frame_places, frame_rate, time_at
+from .edits import Deformation
+from .render import HeldPose, Scene, drawn_cages
+from .words import read_rest
+
+#: Where a camera stands for each side that it looks from, degrees: above the ground, and around from +x to +y where z
+#: is up. Not quite straight above, so that what is behind the object is above it in the picture.
+SIDES = {
+    "corner": (25.0, -60.0),
+    "front": (0.0, -90.0),
+    "right": (0.0, 0.0),
+    "back": (0.0, 90.0),
+    "left": (0.0, 180.0),
+    "top": (89.99, -90.0),
+    "bottom": (-89.99, -90.0),
+}
+
+#: Frames of a film, or places between them, counted from 0, to the camera of each.
+CameraTrack = Callable[[Sequence[float]], list[Camera]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Timeline:
+    """Where the poses of a film are."""
+
+    frames: int
+    fps: float | Fraction
+    deformation: Deformation | None = None  # None where the field is shown as it is
+    keys: PoseFile | PlaceFile | None = None  # keys at times that say how long the film is, where there are any
+    loop: str | None = None  # of those
+    motion: str = "swing"  # and how it goes through poses without times, as `frame_places` has it
+    interpolation: str = "smooth"
+
+    def time(self, frame: float) -> float:
+        """Seconds of a frame, or between two."""
+        if self.keys is None:
+            return frame / float(self.fps)
+        return time_at(frame, self.keys.length, frame_rate(self.fps), self.loop or "once")
+
+    def cages(self, frame: float) -> list[Cage | None]:
+        """The posed cages of a frame, or between two, one an edit; None for what is removed."""
+        if self.deformation is None:
+            return []
+        try:
+            if self.keys is not None:
+                return self.deformation.at_time(self.time(frame))
+            return self.deformation.at(self._place(frame))
+        except ValueError as error:
+            raise InputError(f"frame {frame:g}, between the poses: {error}") from error
+
+    def is_still(self) -> bool:
+        """Whether all frames show the same poses."""
+        if self.deformation is None or self.deformation.is_still:
+            return True
+        place = self._place if self.keys is None else self.time
+        return len({place(frame) for frame in range(self.frames)}) == 1
+
+    def _place(self, frame: float) -> float:
+        """Where a frame is among poses without times."""
+        count = 1 if self.deformation is None else self.deformation.pose_count
+        return float(frame_places(self.frames, count, self.motion, self.interpolation, [frame])[0])
+
+
+class Things:
+    """What stands beside a film's own field in one scene, the first of a stage; with what moves.
+    of_file: whether the first stays as the stage has it; moving: Deformers on it, and what poses them."""
+
+    def __init__(self, stage: Stage, *, of_file: bool = False, moving: Sequence[tuple[Deformer, Deformation]] = ()):
+        self.stage, self.of_file = stage, of_file
+        self.moving = [(HeldPose(deformer), deformation) for deformer, deformation in moving]
+        self.main = next(iter(stage.items))
+
+    def points(self, points: np.ndarray) -> np.ndarray:
+        """(n, 3) points around what a picture shows, world units; points: those around the film's own field."""
+        seen = [] if self.of_file else [points]
+        times = {0.0, *(time for item in self.stage.items.values() for time in item.places.places)}
+        for self.stage.time in sorted(times, reverse=True):  # last the first, where pictures are made
+            seen.append(self.stage.shown_points)
+        return np.concatenate(seen)
+
+    def with_main(self, renderer: AnyField | Deformer) -> Stage:
+        """The stage with what renders the film's own field; the things of a stage file stay as they are."""
+        if not self.of_file and self.stage[self.main] is not renderer:
+            self.stage.replace(self.main, renderer)
+        return self.stage
+
+    def at(self, seconds: float) -> None:
+        """Move all to a time of the film, but for its own field, which its own poses move."""
+        self.stage.time = seconds
+        for deformer, deformation in self.moving:
+            deformer.pose(deformation.at_time(seconds))
+
+    def longest(self, film: PoseFile | PlaceFile | None) -> PoseFile | PlaceFile | None:
+        """The keys at times, of poses and of places, that last longest; None where there are none."""
+        films: list[PoseFile | PlaceFile] = [] if film is None else [film]
+        films += [each.film for _, each in self.moving if each.film is not None]
+        films += [item.places for item in self.stage.items.values() if item.places.length > 0.0]
+        return max(films, key=lambda each: each.length, default=None)
+
+    def fingerprints(self) -> list[Any]:
+        """All that decides how the scene looks besides the film's own field and its poses."""
+        items = self.stage.items.items()
+        paths = [item.path for _, item in items if item.path is not None and item.path.is_file()]
+        files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
+        places = [[name, item.places.to_json()] for name, item in items]
+        return [places, files, [deformation.fingerprints() for _, deformation in self.moving]]
+
+
+class MovingScene:
+    """What renders the frames of a film: a field, or a Deformer of it that a timeline poses, alone or among things."""
+
+    def __init__(self, field: AnyField, timeline: Timeline, things: Things | None = None):
+        self.timeline, self.things = timeline, things
+        self._renderer: AnyField | Deformer = field
+        self._posed: HeldPose | None = None
+
+    def render_by(self, deformer: Deformer) -> None:
+        """Have the field rendered by a Deformer, which may be made late: for other frames than these none is needed."""
+        self._renderer, self._posed = deformer, HeldPose(deformer)
+
+    def is_still(self) -> bool:
+        """Whether nothing moves but the camera."""
+        return self.timeline.is_still() and (self.things is None or self.things.longest(None) is None)
+
+    def __call__(self, frame: float) -> tuple[Scene, list[Cage]]:
+        """What renders a frame, or what is between two, and the cages that an overlay shows."""
+        cages: list[Cage] = []
+        if self._posed is not None:
+            posed = self.timeline.cages(frame)
+            try:
+                self._posed.pose(posed)
+            except ValueError as error:
+                raise InputError(f"frame {frame:g}, between the poses: {error}") from error
+            cages = drawn_cages(self._posed.deformer)
+        if self.things is None:
+            return self._renderer, cages
+        self.things.at(self.timeline.time(frame))
+        return self.things.with_main(self._renderer), cages
+
+
+def moving_track(
+    moving: MovingCamera,
+    field: AnyField,
+    edits: Sequence[CageEdit],
+    cages_at: Callable[[float], Sequence[Cage | None]],  # posed cages of a frame, one an edit
+) -> CameraTrack:
+    """The track of a camera that moves; it may follow the edits and what they carry."""
+    followed = {move.part: Followed(move.part, field, edits) for move in moving.moves if move.kind == "follow"}
+    return lambda frames: [
+        moving.at(frame, lambda part, frame=frame: followed[part].at(cages_at(frame))) for frame in frames
+    ]
+
+
+def keyed_track(keys: Sequence[CameraKey], timeline: Timeline) -> CameraTrack:
+    """The track of camera keys: at their times where the film has keys at times too, or else evenly over the film."""
+    if timeline.keys is not None and all(key.time is not None for key in keys):
+        return lambda frames: [camera_at(keys, timeline.time(frame)) for frame in frames]
+    return lambda frames: path_cameras(keys, timeline.frames, frames)
+
+
+class Followed:
+    """Where a part is that a film's camera follows: the cage of an edit, or a region that cages carry."""
+
+    def __init__(self, part: str, field: AnyField, edits: Sequence[CageEdit]):
+        self._edits = edits
+        self._number = 0
+        self._points: np.ndarray | None = None  # (n, 3) of a region at rest
+        if part == "" or part.isdigit():
+            self._number = int(part or 1) - 1
+            if not 0 <= self._number < len(self._edits):
+                raise InputError(f"follow:{part}: there is no such edit, the film has {len(self._edits)}")
+        elif part.lower().endswith(SELECTION_ENDINGS):
+            self._points = NodeSelection.load(part, field).points
+        else:
+            self._points = read_rest(part, None, field, part=True)[0].vertices
+
+    def at(self, cages: Sequence[Cage | None]) -> np.ndarray:
+        """(3,) its middle, where the cages are posed so."""
+        if self._points is None:
+            posed = cages[self._number] if cages else None
+            return middle((self._edits[self._number].cage if posed is None else posed).vertices)
+        points = self._points.copy()
+        for edit, posed in zip(self._edits, cages, strict=True):
+            inside = edit.cage.contains(self._points)
+            if posed is not None and inside.any():
+                points[inside] = deform_points(self._points[inside], edit.cage, posed)
+        return middle(points)
+
+
+def middle(points: np.ndarray) -> np.ndarray:
+    """(3,) middle of the bounding box of points (n, 3)."""
+    return (points.min(axis=0) + points.max(axis=0)) / 2
+
+
+def shown_corners(field: AnyField) -> np.ndarray:
+    """(8, 3) corners of the box of what a field shows, world units."""
+    return box_corners(field.shown_bounds if isinstance(field, SplatField) else field.bounds)

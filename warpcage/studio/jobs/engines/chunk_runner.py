@@ -1,0 +1,465 @@
+"""The items of a chunk, one after the other, in whichever process a worker lives."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import dataclasses
+import datetime
+import math
+import os
+import pathlib
+import platform
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from typing import Any, Protocol
+
+import warp as wp
+
+from .... import __version__
+from ....core.devices import resolve_device
+from ....core.locks import device_turn
+from ....core.names import error_line
+from ....core.threads import limit_threads
+from ....errors import InputError, StateError
+from ..items import Item
+from ..job_file import Fingerprints, ItemReader, JobFile
+from ..manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes, OutputFolder, notes_of_chunk
+from ..webdataset import pack_shard, shard_size, shard_stage
+
+#: What the same input brings again: there is no use in trying it once more.
+BAD_INPUT = (
+    ValueError,
+    TypeError,
+    LookupError,
+    ArithmeticError,
+    AttributeError,
+    AssertionError,
+    ImportError,
+    FileNotFoundError,
+    IsADirectoryError,
+    NotADirectoryError,
+)
+
+
+#: Chunks of a worker: one of which it makes items, the others while their last files are being written.
+MOST_CHUNKS = 2
+
+#: Calls that a worker answers at once: one a chunk, one that tells when all items are begun, and one that shortens a
+#: chunk or tells of items.
+MOST_CALLS = MOST_CHUNKS + 2
+
+
+class Maker(Protocol):
+    """Makes items: `batch.worker.Worker`, or what stands for it in tests."""
+
+    def submit(self, item: Item, out: str | os.PathLike[str] | None = None) -> Future[dict[str, int]]:
+        """Make an item; its files may be written while the next one is made. out: where, instead of the run's folder.
+        Becomes its files and their sizes in bytes, or what went wrong."""
+        ...
+
+    def close(self) -> None:
+        """End what writes files."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Chunk:
+    """Items that one worker takes at once."""
+
+    number: int
+    items: Sequence[int]  # numbers of the items in the job file, in the order in which they are made
+    attempts: Sequence[int]  # how often each was begun before and failed
+    group: int  # what the worker has loaded afterwards
+    shard: int | None = None  # to be packed, in a chunk without items; of one that is sent, that its items belong to
+    seconds: float | None = None  # after so many no more of its items are begun; None where it is known what they take
+    # of a chunk that is sent: lines of its items, as they stand, with their numbers; outputs of all items of its shard,
+    # where that is packed
+    lines: Sequence[tuple[bytes, int]] = ()
+    packed: Sequence[dict[str, str]] | None = None
+
+
+@dataclasses.dataclass
+class ChunkReport:
+    """What became of a chunk."""
+
+    done: list[int] = dataclasses.field(default_factory=list)
+    seconds: list[float] = dataclasses.field(default_factory=list)  # of each of those, what it added
+    failed: list[tuple[int, str]] = dataclasses.field(default_factory=list)  # not tried again, with a line each
+    errors: list[tuple[int, str]] = dataclasses.field(default_factory=list)  # may be tried again, with one line each
+    left: list[int] = dataclasses.field(default_factory=list)  # were not begun, or their making ended without blame
+    loading: bool = False  # whether the first item loaded what the others found there: its seconds are not usual
+    halt: str | None = None  # one line: why nothing can be written any more
+    broken: str | None = None  # why the worker can make no more
+    pack_error: str | None = None  # why the shard was not packed
+
+
+def leaves_no_room(error: BaseException) -> bool:
+    """Whether an error says that nothing can be written any more: a full disk, a quota, or one that is read-only."""
+    if isinstance(error, OSError) and error.errno is not None:
+        return error.errno in NO_ROOM
+    return any(os.strerror(number) in str(error) for number in NO_ROOM)  # libraries in C++ tell it in words
+
+
+@dataclasses.dataclass
+class _UnderWay:
+    """An item that was begun and is not settled."""
+
+    item: Item
+    index: int
+    attempts: int
+    begun: float
+    inputs: str = ""
+    future: Future[dict[str, int]] = dataclasses.field(default_factory=Future)
+
+
+class ChunkUnderWay:
+    """A chunk of which items are made, or whose files are being written."""
+
+    def __init__(self, order: Chunk):
+        self.order, self.report = order, ChunkReport()
+        self.waiting: collections.deque[int] = collections.deque(range(len(order.lines)))  # places that were not begun
+        self.line: collections.deque[_UnderWay] = collections.deque()  # made and not settled, in that order
+        self.making: _UnderWay | None = None
+
+
+class ChunkRunner:
+    """Makes the items of chunks, and notes what became of each.
+    `begin` makes, in one thread at a time; `settle` waits for files and notes, in any, maybe while the next is made."""
+
+    def __init__(
+        self,
+        maker: Maker,
+        read: Callable[[bytes, int], Item],
+        fingerprint: Callable[[Item], str],  # the hash of an item's inputs, as they are before it is made
+        notes: Notes,
+        place: Mapping[str, str],  # device, worker and host, for the records
+        *,
+        retries: int = 2,
+        check_device: Callable[[], None] = lambda: None,  # raises if the device is lost, after errors not of the input
+        out: pathlib.Path | None = None,  # folder of the run, where there are shards
+    ):
+        self._maker, self._read, self._fingerprint, self._notes, self._place = maker, read, fingerprint, notes, place
+        self._retries, self._check_device, self._out = retries, check_device, out
+        self._making, self._lock = threading.Lock(), threading.Lock()
+        self._made = threading.Condition(self._lock)
+        self._chunks: dict[int, ChunkUnderWay] = {}
+        self._newest_made = 0  # number of the newest chunk whose items are all begun
+        self._stopped = False
+        self.report, self._settled_at = ChunkReport(), 0.0  # of the newest chunk so far
+        self._group: str | None = None
+        self.held = contextlib.ExitStack()  # open as long as this may write; `close` closes it
+
+    def run(self, order: Chunk) -> ChunkReport:
+        """Make a chunk; returns what became of its items."""
+        return self.settle(self.begin(order))
+
+    def begin(self, order: Chunk) -> ChunkUnderWay:
+        """Make the items of a chunk, or pack its shard; files may be written until `settle` has it."""
+        chunk = ChunkUnderWay(order)
+        with self._making:
+            self.report = chunk.report
+            with self._lock:
+                self._chunks[order.number] = chunk
+            try:
+                self._make(chunk)
+            except BaseException:  # an interrupt too
+                self.settle(chunk)
+                raise
+            finally:
+                with self._made:
+                    self._newest_made = order.number
+                    self._made.notify_all()
+        return chunk
+
+    def settle(self, chunk: ChunkUnderWay) -> ChunkReport:
+        """Wait for the files of a chunk that `begin` returned, and note what became of its items."""
+        report = chunk.report
+        try:
+            while chunk.line:
+                self._settle(chunk, chunk.line[0])
+        finally:  # also at an interrupt: what is being written is noted once it is there
+            while chunk.line:
+                self._settle(chunk, chunk.line[0])
+        with self._lock:
+            self._chunks.pop(chunk.order.number, None)
+        settled = {*report.done, *(index for index, _ in [*report.failed, *report.errors])}
+        report.left = [index for index in chunk.order.items if index not in settled]
+        return report
+
+    def facts(self) -> dict[str, Any]:
+        """Which process it is."""
+        return {"pid": os.getpid(), "host": platform.node()}
+
+    def begun(self, number: int) -> None:
+        """Wait until all items of a chunk, which may not be here yet, are begun or will not be. Any thread may call."""
+        with self._made:
+            self._made.wait_for(lambda: self._newest_made >= number)
+
+    def recall(self, number: int, share: float) -> list[int]:
+        """Give back a share of the items of a chunk that were not begun, from its end: their numbers in the job file.
+        Any thread may call it while a chunk runs; one that is not under way gives nothing back."""
+        with self._lock:
+            chunk = self._chunks.get(number)
+            if chunk is None:
+                return []
+            back = [chunk.waiting.pop() for _ in range(math.ceil(share * len(chunk.waiting)))]
+            return [chunk.order.items[place] for place in reversed(back)]
+
+    def oldest(self, number: int) -> tuple[int, float] | None:
+        """The item of a chunk that has been under way longest, by its number in the job file, and its seconds so far.
+        None where none is under way, or for a chunk that is not. Any thread may call it while a chunk runs."""
+        with self._lock:
+            chunk = self._chunks.get(number)
+            made = () if chunk is None else (*chunk.line, chunk.making)
+            first = next((each for each in made if each is not None and not each.future.done()), None)
+        return None if first is None else (first.index, time.perf_counter() - first.begun)
+
+    def stop(self) -> None:
+        """Begin no more items."""
+        self._stopped = True
+
+    def _make(self, chunk: ChunkUnderWay) -> None:
+        """Begin all items of a chunk; those whose files are there meanwhile are noted."""
+        order, report = chunk.order, chunk.report
+        if order.packed is not None:
+            self._pack(order, report)
+            return
+        begin = time.perf_counter()
+        while report.halt is None and report.broken is None and (place := self._next(chunk)) is not None:
+            if place and order.seconds is not None and time.perf_counter() - begin > order.seconds:
+                return
+            self._begin(chunk, place)
+            while chunk.line and chunk.line[0].future.done():
+                self._settle(chunk, chunk.line[0])
+
+    def _next(self, chunk: ChunkUnderWay) -> int | None:
+        with self._lock:
+            return chunk.waiting.popleft() if chunk.waiting and not self._stopped else None
+
+    def _begin(self, chunk: ChunkUnderWay, place: int) -> None:
+        """Make an item as far as this thread does it."""
+        order, report = chunk.order, chunk.report
+        item = self._read(*order.lines[place])
+        if not self._noted({"id": item.id, "state": STARTED, "lot": order.number}, report):
+            return
+        report.loading |= not place and item.group != self._group
+        made = _UnderWay(item, order.items[place], order.attempts[place], time.perf_counter())
+        chunk.making = made
+        try:
+            made.inputs = self._fingerprint(item)
+            made.future = self._maker.submit(item, self._stage(order))
+        except Exception as error:
+            made.future.set_exception(error)
+        self._group = item.group
+        with self._lock:
+            chunk.line.append(made)
+            chunk.making = None
+
+    def _settle(self, chunk: ChunkUnderWay, made: _UnderWay) -> None:
+        """Note what became of the first item in the line of a chunk."""
+        report, error, sizes = chunk.report, None, {}
+        try:
+            sizes = made.future.result()
+        except Exception as failure:
+            error = failure
+        with self._lock:
+            chunk.line.popleft()
+            now = time.perf_counter()
+            seconds = now - max(made.begun, self._settled_at)  # of items that overlap, what each adds
+            self._settled_at = now
+        if error is not None and leaves_no_room(error):
+            self._halt(report, error)
+            return
+        record: dict[str, Any] = {
+            "id": made.item.id,
+            "state": DONE,
+            "inputs": made.inputs,
+            "outputs": sizes,
+            "kind": made.item.kind,
+            "seconds": round(seconds, 4),
+            **self._place,
+            "attempts": made.attempts + 1,
+            "version": __version__,
+            "finished": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="milliseconds"),
+        }
+        final = isinstance(error, BAD_INPUT) or made.attempts >= self._retries
+        if error is not None:
+            record |= {"state": FAILED if final else ERROR, "error": error_line(error, named=True)}
+        if not self._noted(record, report):
+            return
+        if error is None:
+            report.done.append(made.index)
+            report.seconds.append(seconds)
+            return
+        (report.failed if final else report.errors).append((made.index, error_line(error, named=True)))
+        if not isinstance(error, BAD_INPUT) and report.broken is None:
+            try:
+                self._check_device()
+            except Exception as failure:  # whatever the device says, it is lost to this process
+                report.broken = error_line(failure, named=True)
+                self.stop()
+
+    def _halt(self, report: ChunkReport, error: BaseException) -> None:
+        """Begin nothing more, as nothing can be written."""
+        report.halt = report.halt or error_line(error, named=True)
+        self.stop()
+
+    def _noted(self, record: dict[str, Any], report: ChunkReport) -> bool:
+        """Append to the notes; False where there is no room for that, which ends the chunk."""
+        try:
+            self._notes.append(record)
+        except OSError as error:
+            if not leaves_no_room(error):
+                raise
+            self._halt(report, error)
+            return False
+        return True
+
+    def _stage(self, order: Chunk) -> pathlib.Path | None:
+        """Where the items of a shard stand until it is packed; None: in the folder of the run."""
+        return None if order.shard is None or self._out is None else shard_stage(self._out, order.shard)
+
+    def _pack(self, order: Chunk, report: ChunkReport) -> None:
+        assert self._out is not None and order.shard is not None and order.packed is not None
+        try:
+            pack_shard(self._out, order.shard, [{"outputs": outputs} for outputs in order.packed])
+        except Exception as error:
+            if leaves_no_room(error):
+                report.halt = error_line(error, named=True)
+            else:
+                report.pack_error = error_line(error, named=True)
+
+    def close(self) -> None:
+        """End the maker's threads, and close the notes."""
+        self._maker.close()
+        self._notes.close()
+        self.held.close()
+
+
+@dataclasses.dataclass(frozen=True)
+class RunnerSettings:
+    """What a worker needs to begin."""
+
+    base: str  # folder of the job file
+    reader: ItemReader
+    out: str
+    run: str  # of which run its notes are
+    device: str | None = None  # Warp device; None is the first GPU, or the CPU
+    worker: str = "0"
+    notes: str = ""  # name of its file of notes
+    retries: int = 2
+    threads: int = 0  # for kernels on the CPU; 0 is what there is
+    maker: Callable[[str, str, Any], Maker] | None = None  # of base, out and device; None is `Worker`
+
+
+def make_runner(settings: RunnerSettings) -> ChunkRunner:
+    """A runner of chunks, in the process that calls; a RuntimeError where this machine does not see the folders of the
+    run."""
+    folder = OutputFolder(settings.out)
+    for path in (pathlib.Path(settings.base), folder.notes):
+        if not path.is_dir():
+            raise StateError(
+                f"{platform.node()} does not see {str(path)!r}: all machines need the folders under the same path"
+            )
+    held = contextlib.ExitStack()
+    held.enter_context(folder.worked_in())
+    if settings.threads:
+        held.enter_context(limit_threads(settings.threads))
+    device = resolve_device(settings.device)
+    make = settings.maker
+    if make is None:
+        from ..worker import Worker  # here, as the driver of a cluster needs nothing of it
+
+        make = Worker
+
+    check_device(device)
+    maker = make(settings.base, settings.out, device)
+    runner = ChunkRunner(
+        maker,
+        settings.reader.item,
+        Fingerprints(settings.base, settings.out).of,
+        folder.new_notes(settings.notes or f"{settings.run}-{settings.worker}"),
+        {"device": device.name, "worker": settings.worker, "host": platform.node()},
+        retries=settings.retries,
+        check_device=lambda: check_device(device),
+        out=folder.path,
+    )
+    runner.held = held
+    return runner
+
+
+def check_device(device: wp.Device) -> None:
+    """Raise where a GPU answers no more."""
+    if device.is_cuda:  # after some errors of CUDA all that a process asks of it fails
+        with device_turn(device):  # another thread may render
+            wp.zeros(1, dtype=float, device=device).numpy()
+            wp.synchronize_device(device)
+
+
+def run_name() -> str:
+    """A name for a run that no other has."""
+    return os.urandom(6).hex()
+
+
+class RunJournal:
+    """What workers are sent for chunks, and what they note of them."""
+
+    failures: Mapping[int, str] = {}  # items of the run that failed for good
+
+    def __init__(self, job: JobFile, folder: OutputFolder):
+        self._job, self._folder, self.run, self._before = job, folder, run_name(), os.stat(job.path)
+        self._shard_size, self._notes = shard_size(job), None
+
+    def __enter__(self) -> RunJournal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._notes is not None:
+            self._notes.close()
+
+    def order(self, chunk: Chunk) -> Chunk:
+        """A chunk as it is sent. A ValueError once the job file has changed; one that is replaced is open as it was."""
+        with contextlib.suppress(FileNotFoundError):
+            now, before = os.stat(self._job.path), self._before
+            if now.st_ino == before.st_ino and (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+                raise InputError(
+                    f"{self._job.path} was changed while it ran: run again, what is made and unchanged is kept"
+                )
+        if chunk.shard is not None:
+            return dataclasses.replace(chunk, packed=self._packed(chunk.shard))
+        lines = [(self._job.data(index), self._job.line(index)) for index in chunk.items]
+        shard = chunk.items[0] // self._shard_size if self._shard_size else None
+        return dataclasses.replace(chunk, lines=lines, shard=shard)
+
+    def noted(self, worker: str, start: int, chunk: Chunk) -> tuple[ChunkReport, list[int]]:
+        """What a worker noted of a chunk: what it settled and what it left, and what it had begun, the newest last."""
+        report = ChunkReport()
+        read = self._job.reader.item
+        indices = {read(*line).id: index for line, index in zip(chunk.lines, chunk.items, strict=True)}
+        path = self._folder.notes / f"{self.run}-{worker}-{start}.jsonl"
+        settled, begun = notes_of_chunk(path, chunk.number)
+        for record in settled:
+            index = indices.pop(record["id"])
+            if record["state"] == DONE:
+                report.done.append(index)
+                report.seconds.append(float(record["seconds"]))
+            else:
+                (report.errors if record["state"] == ERROR else report.failed).append((index, record["error"]))
+        report.left = list(indices.values())
+        return report, [indices[each] for each in begun]
+
+    def lost(self, item: int, error: str, attempts: int) -> None:
+        self._notes = self._notes or self._folder.new_notes(f"{self.run}-driver")
+        found = self._job.item(item)
+        record = {"id": found.id, "state": FAILED, "kind": found.kind, "attempts": attempts, "error": error}
+        self._notes.append(record)
+
+    def _packed(self, shard: int) -> list[dict[str, str]]:
+        """The outputs of all items of a shard that are there: what was to be made of it is settled."""
+        begin = shard * self._shard_size
+        indices = range(begin, min(begin + self._shard_size, len(self._job)))
+        there = (self._job.item(index) for index in indices if index not in self.failures)
+        return [{path: part for part, path in item.outputs.items()} for item in there]

@@ -1,0 +1,349 @@
+"""Films that workers make: their frames as items of job files, in a folder, and the film of them as they come."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import os
+import pathlib
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from fractions import Fraction
+from typing import IO, Any
+
+import numpy as np
+
+from ... import __version__
+from ...core.files import PathLike, atomic_path
+from ...core.names import FRAGMENTS_WORD, counted
+from ...core.reports import bar, say_above_bar
+from ...edits.edits import CageEdit, words_of_edit
+from ...errors import InputError, StateError
+from ...view.camera import Camera, CameraKey, camera_json
+from ...view.film import CLEAR_ENDINGS, read_film_frame, write_film
+from ..films.folder import frame_files, frame_path, make_folder
+from ..films.render import Look
+from .job_file import write_jobs
+from .run import RunProgress, RunReport, run_jobs
+
+#: Folder in that of the frames in which workers write; a run that is over leaves none.
+WORKPLACE = ".run"
+
+#: The words of an edit in the order in which job files have them.
+EDIT_ORDER = ("cage", "keep", "remove", FRAGMENTS_WORD, "falloff", "held")
+
+#: Seconds between looks for a frame where nobody tells of one.
+LOOK_SECONDS = 0.2
+
+
+@dataclasses.dataclass(frozen=True)
+class FilmFrame:
+    """A frame of a film."""
+
+    index: int
+    camera: Camera
+    poses: Sequence[np.ndarray | None] = ()  # of each edit the posed vertices, (v, 3) world units; None: it removes
+    moments: Sequence[tuple[Camera, Sequence[np.ndarray | None]]] = ()  # of its shutter, each with its poses
+
+    @property
+    def name(self) -> str:
+        """The id of its item, and the name of its picture without an ending."""
+        return f"frame_{self.index:04d}"
+
+
+@dataclasses.dataclass(frozen=True)
+class FilmJob:
+    """What all frames of a film share."""
+
+    field: PathLike
+    words: dict[str, Any]  # of items, for all frames: how they are rendered, and "outputs"
+    edits: Sequence[CageEdit] = ()
+    extra: Any = None  # any JSON, kept in the header of the job file
+
+    def write(self, path: PathLike, frames: Iterable[FilmFrame]) -> int:
+        """Write the job file, and beside it arrays of each cage at rest, its faces and poses; returns how many frames.
+        They are taken one by one, equal poses are written once; a field in the job's folder is named from there."""
+        path = pathlib.Path(path)
+        with contextlib.ExitStack() as files:  # arrays take their places after the job file, or not at all
+            cages = [
+                _EditArrays(edit, path.with_name(f"{path.stem}{number}"), files)
+                for edit, number in zip(self.edits, _numbers(len(self.edits)), strict=True)
+            ]
+            usual = {"kind": "frame", "field": _reference(self.field, path.parent), **self.words}
+            alone = len(cages) == 1
+            defaults = usual | (cages[0].words if alone else {})
+
+            def moment(camera: Camera, poses: Sequence[np.ndarray | None]) -> dict[str, Any]:
+                posed = [cage.posed(pose).get("posed") for cage, pose in zip(cages, poses, strict=True)]
+                return {"camera": camera_json(CameraKey(camera)), **({"posed": posed} if posed else {})}
+
+            def items() -> Iterator[dict[str, Any]]:
+                for frame in frames:
+                    posed = [cage.posed(pose) for cage, pose in zip(cages, frame.poses, strict=True)]
+                    moments = [moment(*each) for each in frame.moments]
+                    edits = {"edits": [cage.words | pose for cage, pose in zip(cages, posed, strict=True)]}
+                    yield {
+                        "id": frame.name,
+                        **((posed[0] if alone else edits) if posed else {}),
+                        "camera": camera_json(CameraKey(frame.camera)),
+                        **({"moments": moments} if moments else {}),
+                        "extra": {"frame": frame.index},
+                    }
+                for cage in cages:
+                    cage.close()
+
+            return write_jobs(path, items(), defaults=defaults, extra=self.extra)
+
+
+def frame_words(
+    look: Look,
+    deformer: Mapping[str, Any] | None,  # options of the Deformer, None where nothing is deformed
+    *,
+    scale: tuple[float, float] | None = None,  # low and high disparity of pictures of depth and disparity
+    scene_scale: float = 1.0,
+) -> dict[str, Any]:
+    """The words of items for how the frames of a film look, but "outputs"."""
+    words: dict[str, Any] = {
+        "background": look.background,
+        "supersampling": look.supersampling,
+        "antialias": look.antialias,
+        "disparity_scale": scale,
+        "scene_scale": None if scene_scale == 1.0 else scene_scale,
+    }
+    if deformer is not None:
+        words |= {**deformer, "fill": look.fill or None, "overlay": look.overlay or None}
+        words["resolution"] = words["resolution"] or "precise"
+    return {name: value for name, value in words.items() if value is not None}
+
+
+def _numbers(count: int) -> list[str]:
+    return [""] if count == 1 else [f".{number}" for number in range(1, count + 1)]
+
+
+def _reference(file: PathLike, folder: pathlib.Path) -> str:
+    """A file as a job file in a folder names it: both can be moved together where one is below the other."""
+    path, base = (pathlib.Path(os.path.abspath(each)) for each in (file, folder))
+    return str(path.relative_to(base)) if path.is_relative_to(base) else str(path)
+
+
+class _EditArrays:
+    """The arrays of an edit: its cage at rest, and its poses, each of which is written once."""
+
+    def __init__(self, edit: CageEdit, stem: pathlib.Path, files: contextlib.ExitStack):
+        rest, faces, poses = (stem.with_name(f"{stem.name}.{part}.npy") for part in ("rest", "faces", "poses"))
+        for path, array in ((rest, edit.cage.vertices), (faces, edit.cage.faces)):
+            np.save(files.enter_context(atomic_path(path)), array, allow_pickle=False)
+        self._poses = poses.name
+        self._rows = None if edit.remove else _Rows(files.enter_context(atomic_path(poses)), edit.cage.vertices.shape)
+        if self._rows is not None:
+            files.callback(self._rows.close)
+        self._known: dict[bytes, int] = {}
+        cage = {"vertices": rest.name, "faces": faces.name}
+        words = words_of_edit(edit, cage, None if edit.remove else self._poses).rest
+        self.words = {name: words[name] for name in EDIT_ORDER if name in words}
+
+    def posed(self, vertices: np.ndarray | None) -> dict[str, str]:
+        """The words of a pose."""
+        if self._rows is None:
+            return {}
+        assert vertices is not None
+        row = np.ascontiguousarray(vertices, np.float64)
+        key = hashlib.blake2b(row.tobytes(), digest_size=16).digest()
+        if key not in self._known:
+            self._known[key] = self._rows.append(row)
+        return {"posed": f"{self._poses}#{self._known[key]}"}
+
+    def close(self) -> None:
+        """Finish the file of poses."""
+        if self._rows is not None:
+            self._rows.close()
+
+
+class _Rows:
+    """An .npy file of float64 that grows by a row at a time; its header is written again at the end."""
+
+    def __init__(self, path: pathlib.Path, shape: tuple[int, ...]):
+        self._shape, self._count = shape, 0
+        self._file: IO[bytes] = path.open("r+b")
+        self._start = self._write_header()
+
+    def append(self, row: np.ndarray) -> int:
+        """Write a row. Returns its number."""
+        self._file.write(row.tobytes())
+        self._count += 1
+        return self._count - 1
+
+    def close(self) -> None:
+        """Say in the header how many rows there are."""
+        if self._file.closed:
+            return
+        with self._file:
+            self._file.seek(0)
+            if self._write_header() != self._start:
+                raise StateError("NumPy wrote a header of another length")
+
+    def _write_header(self) -> int:
+        # with room for the digits of a first axis that grows
+        header = {"descr": "<f8", "fortran_order": False, "shape": (self._count, *self._shape)}
+        np.lib.format.write_array_header_1_0(self._file, header)
+        return self._file.tell()
+
+
+class FilmWorkers:
+    """Workers that make the frames of a film."""
+
+    def __init__(
+        self,
+        job: FilmJob,
+        frames: Sequence[FilmFrame],
+        settings: dict[str, Any],  # all that decides how they look, as JSON has it; "format" is their ending
+        *,
+        workers: int,
+        device: str | None,
+        quiet: bool,
+        overwrite: bool = False,  # replace frames of another film in the folder
+    ):
+        self.job, self.frames, self.settings = job, frames, settings
+        self.workers, self.device, self.quiet, self.overwrite = workers, device, quiet, overwrite
+
+    @property
+    def cameras(self) -> list[Camera]:
+        return [frame.camera for frame in self.frames]
+
+    def make_frames(self, folder: pathlib.Path, told: Callable[[], None] = lambda: None) -> int:
+        """Make the frames of a folder that are not there yet; returns how many were there.
+        told: called now and then, in this thread; what it raises ends the run."""
+        _collect(folder / WORKPLACE, folder)  # of a run that was killed
+
+        def make(missing: list[int], begin: Callable[[], None]) -> None:
+            begin()
+            with tempfile.TemporaryDirectory(prefix="warpcage-") as temporary:
+                path = pathlib.Path(temporary) / "film.jsonl"
+                self.job.write(path, (self.frames[index] for index in missing))
+                try:
+                    _require_all(self._run(path, folder / WORKPLACE, len(missing), told))
+                finally:
+                    _collect(folder / WORKPLACE, folder)
+
+        return make_folder(folder, self.cameras, make, self.settings, overwrite=self.overwrite)
+
+    def make_film(self, output: pathlib.Path, rate: Fraction, *, loop: bool) -> None:
+        """Make the frames in a folder beside a film, and the film of them, in order, as they come.
+        The folder is removed at the end; after an error or an interrupt it stays, and the next run goes on with it."""
+        folder = output.with_name(f".{output.name}.frames")
+        self.settings, self.overwrite = self.settings | {"version": __version__}, True  # that folder is ours
+        encoder = FilmEncoder(output, rate, loop, [self._places(folder, frame) for frame in self.frames])
+        try:
+            with encoder:
+                self.make_frames(folder, encoder.told)
+        except BaseException:
+            if made := frame_files(folder):
+                print(
+                    f"warpcage: {counted(len(made), 'frame')} kept in {folder}: run it again to go on", file=sys.stderr
+                )
+            raise
+        shutil.rmtree(folder)
+
+    def _places(self, folder: pathlib.Path, frame: FilmFrame) -> list[pathlib.Path]:
+        """Where a frame may be found once it is whole."""
+        place = frame_path(folder, frame.index, self.settings["format"])
+        return [place, folder / WORKPLACE / place.name]
+
+    def _run(self, path: pathlib.Path, out: pathlib.Path, missing: int, told: Callable[[], None]) -> RunReport:
+        count = len(self.frames)
+        with bar(count, "animate", done=count - missing, shown=not self.quiet) as shown:
+
+            def show(state: RunProgress) -> None:
+                told()
+                if state.stage == "make":
+                    shown.update(count - missing + state.kept + state.done + state.failed - shown.n)
+
+            return run_jobs(path, out, workers=self.workers, device=self.device, progress=show, warn=say_above_bar)
+
+
+def frame_outputs(output: pathlib.Path, show: str, kind: str | None) -> tuple[dict[str, str], str]:
+    """The words "outputs" of frames that become a film or a folder, and their ending; kind: --format of a folder."""
+    if output.suffix.lower() in CLEAR_ENDINGS:
+        if show != "rgb":
+            raise InputError(f"--workers makes {output.suffix} films of colours alone: leave out --show, or --workers")
+        return {"film": "{id}.npz"}, "npz"  # as many bits as they hold
+    return {show: "{id}." + (kind or "png")}, kind or "png"
+
+
+def _require_all(report: RunReport) -> None:
+    if report.failed:
+        name, line = next(iter(report.failed.items()))
+        more = f" ({counted(len(report.failed), 'frame')} failed)" if len(report.failed) > 1 else ""
+        raise StateError(f"{name}: {line}{more}")
+    if report.halt is not None:
+        raise StateError(report.halt)
+
+
+def _collect(workplace: pathlib.Path, folder: pathlib.Path) -> None:
+    """Put the frames of a run in their places, and remove what else it wrote."""
+    for path in frame_files(workplace):
+        os.replace(path, folder / path.name)
+    shutil.rmtree(workplace, ignore_errors=True)
+
+
+class FilmEncoder:
+    """Writes a film of frames that others write, in another thread (`with`). The block ends when it is written."""
+
+    def __init__(self, output: pathlib.Path, rate: Fraction, loop: bool, places: list[list[pathlib.Path]]):
+        self._output, self._rate, self._loop, self._places = output, rate, loop, places
+        self._news, self._ended = threading.Event(), threading.Event()
+        self._stopped = False
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._encode, name="warpcage-film")
+
+    def told(self) -> None:
+        """There may be frames. Raises the error of the encoder, if it has one."""
+        self._news.set()
+        if self._error is not None:
+            raise self._error
+
+    def __enter__(self) -> FilmEncoder:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self._news.set()
+                self._ended.wait()
+        finally:
+            self._stopped = True
+            self._news.set()
+            self._ended.wait()
+        if kind is None and self._error is not None:
+            raise self._error
+
+    def _encode(self) -> None:
+        try:
+            write_film(self._output, self._frames(), self._rate, loop=self._loop)
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._ended.set()
+
+    def _frames(self) -> Iterator[np.ndarray]:
+        for places in self._places:
+            yield self.frame(places)
+
+    def frame(self, places: list[pathlib.Path]) -> np.ndarray:
+        """The frame that comes to one of some places, once it is there."""
+        while not self._stopped:
+            for path in filter(pathlib.Path.exists, places):  # one that comes only now is looked for again
+                try:
+                    return read_film_frame(path)
+                except (FileNotFoundError, ValueError):
+                    if path.exists():
+                        raise
+                    # it was moved just now
+            self._news.wait(LOOK_SECONDS)
+            self._news.clear()
+        raise InterruptedError("the film was given up")

@@ -1,0 +1,542 @@
+"""Items of job files: frames, fits and evaluations, what they say and which files they leave."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import hashlib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from ...core.checks import checked_bounds, shown
+from ...core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, edit_fields
+from ...edits import words
+from ...edits.words import EDIT_WORDS, Checker, EditWords, canonical, checked_words, one_of, plain, safe_name, text
+from ...errors import InputError
+from ...splats.io import SPLAT_ENDINGS
+
+if TYPE_CHECKING:
+    from ..films.render import Look
+
+#: Names in the folder of a run that no output may have, in any case of letters.
+RESERVED = ("manifest.jsonl",)
+
+#: What stands for an item's id in the names of its outputs.
+ID = "{id}"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Item(abc.ABC):
+    """One thing to make."""
+
+    id: Annotated[str, safe_name]  # a relative name, unique in its job
+    outputs: Annotated[dict[str, str], words.anything]  # files by what they hold, relative to the folder of the run
+    extra: Annotated[Any, words.anything] = None  # any JSON that is kept with its record
+
+    #: The word of its kind, words of JSON besides its fields, all that it takes with their checks, and all kinds.
+    kind: ClassVar[str]
+    short: ClassVar[dict[str, Checker]]
+    known: ClassVar[dict[str, Checker]]
+    kinds: ClassVar[dict[str, type[Item]]] = {}
+
+    def __init_subclass__(cls) -> None:
+        if hasattr(cls, "kind"):
+            checks = words.checkers(cls)
+            last = {name: checks.pop(name) for name in ("outputs", "extra")}
+            cls.known = {"id": checks["id"], "kind": words.anything} | checks | cls.short | last
+            Item.kinds[cls.kind] = cls
+
+    @property
+    @abc.abstractmethod
+    def group(self) -> str:
+        """What a worker has to load for it: items of one group share that."""
+
+    @property
+    def pose(self) -> str:
+        """What it shows of what is loaded: items of one group and pose share a map. Empty where there is none."""
+        return ""
+
+    @property
+    def version(self) -> int:
+        """The first version of job files that has all of its words."""
+        return 1
+
+    @property
+    def order(self) -> tuple[str, str]:
+        """By which items are sorted so that workers load and pose as little as they can."""
+        return self.group, self.pose
+
+    def to_json(self) -> dict[str, Any]:
+        """The item as JSON, with what it takes from defaults of its file, but without what is usual.
+        `from_json` makes an equal item of it."""
+        entry: dict[str, Any] = {"id": self.id, "kind": self.kind, "outputs": dict(self.outputs)}
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.name not in entry and value != _default(field):
+                entry[field.name] = plain(value)
+        return entry
+
+    @staticmethod
+    def from_json(entry: Mapping[str, Any], defaults: Mapping[str, Any] | Defaults | None = None) -> Item:
+        """An item of the kind that it says from JSON; defaults: what holds where that says nothing.
+        Words of other kinds of items are left out of the defaults."""
+        if not isinstance(entry, Mapping):
+            raise InputError(f"an item must be a JSON object, got {shown(entry)}")
+        usual = defaults if isinstance(defaults, Defaults) else Defaults(defaults or {})
+        kind = entry.get("kind") or usual.words.get("kind") or "frame"
+        if not isinstance(kind, str) or kind not in Item.kinds:
+            raise InputError(f"'kind' must be one of {', '.join(Item.kinds)}, got {shown(kind)}")
+        return Item.kinds[kind]._made(entry, usual.of(Item.kinds[kind]))
+
+    @classmethod
+    def _made(cls, entry: Mapping[str, Any], usual: dict[str, Any]) -> Item:
+        given = {word: value for word, value in usual.items() if word not in entry}
+        given |= checked_words(entry, cls.known, f"an item of kind {cls.kind!r}")
+        given.pop("kind", None)
+        if "id" not in given:
+            raise InputError('an item needs an "id", such as "frame_0001"')
+        return cls(**cls._completed(given))
+
+    @classmethod
+    @abc.abstractmethod
+    def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """The arguments of the constructor of checked words."""
+
+
+class Defaults:
+    """What holds where an item says nothing, checked once for all items of a kind."""
+
+    def __init__(self, words: Mapping[str, Any]):
+        self.words = words
+        self._checked: dict[str, dict[str, Any]] = {}
+
+    def of(self, maker: type[Item]) -> dict[str, Any]:
+        """The checked words that a kind of item takes. Raises ValueError for one that cannot be."""
+        if maker.kind not in self._checked:
+            usual = {word: value for word, value in self.words.items() if word in maker.known}
+            self._checked[maker.kind] = checked_words(usual, maker.known, "'defaults'")
+        return self._checked[maker.kind]
+
+
+def _default(field: dataclasses.Field) -> Any:
+    return field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
+
+
+def digest(value: Any) -> str:
+    """A short hash of a JSON value: 16 hexadecimal digits."""
+    return hashlib.blake2b(canonical(value).encode(), digest_size=8).hexdigest()
+
+
+def output_path(path: Any, item_id: str, word: str) -> str:
+    """A checked name of an output, with the item's id put in. Raises ValueError for others."""
+    found = safe_name(path.replace(ID, item_id) if isinstance(path, str) else path, word)
+    if found.lower() in RESERVED:
+        raise InputError(f"{word} cannot be {found!r}, which is the run's own")
+    return found
+
+
+#: Endings of the files that each part of a frame may be written to.
+PART_ENDINGS = {
+    "rgb": (".png", ".jpg", ".jpeg", ".exr", ".npy"),
+    "alpha": (".png", ".npy"),
+    "depth": (".npy", ".exr", ".png"),
+    "disparity": (".png", ".npy"),
+    "masks": (".png",),
+    "reveal": (".png", ".npy"),
+    "fold": (".png", ".npy"),
+    "outside": (".npy",),
+    "film": (".npz",),
+    "pose": (".npy",),
+    "record": (".json",),
+}
+
+#: Parts of a frame, and their endings, whose picture may be the mean of moments.
+OF_MOMENTS = {"rgb": (".png", ".jpg", ".jpeg", ".exr"), "film": ".npz", "pose": ".npy", "record": ".json"}
+
+
+def _edits(value: Any, word: str) -> tuple[EditWords, ...]:
+    if not isinstance(value, list) or not value:
+        raise InputError(f"{word} must be a list of at least one edit, got {shown(value)}")
+    return tuple(EditWords.from_json(entry, f"edit {number} of {word}") for number, entry in enumerate(value, 1))
+
+
+def _resolution(value: Any, word: str) -> int | str:
+    if value == "precise":
+        return value
+    if type(value) is not int or value < 1:
+        raise InputError(
+            f'{word} must be a whole number of lattice cells, or "precise" (mean_value and green only), '
+            f"got {shown(value)}"
+        )
+    return value
+
+
+def _camera(value: Any, word: str) -> Any:
+    if isinstance(value, str) and value:
+        return text(value, word)
+    if not isinstance(value, dict) or not value:
+        raise InputError(
+            f"{word} must be an object with {', '.join(_PINHOLE)}, or one with eye, target, width and height; or "
+            f'"cameras.json#NAME" or "transforms.json#3", got {shown(value)}'
+        )
+    if "eye" in value or ("target" in value and "camera_to_world" not in value):
+        checked_words(value, _LOOKING, word)
+    needed = {name: each for name, each in _LOOKING.items() if name not in _USUAL} if "eye" in value else _PINHOLE
+    for name, check in needed.items():
+        if value.get(name) is None:
+            raise InputError(f"{word} lacks {name!r}")
+        check(value[name], f"{name!r} of {word}")
+    return value
+
+
+def _vector(value: Any, word: str) -> tuple[float, ...]:
+    return words.numbers(value, word, 3)
+
+
+def _pose(value: Any, word: str) -> Any:
+    if not isinstance(value, list) or len(value) != 4:
+        raise InputError(f"{word} must be four rows of four numbers, got {shown(value)}")
+    return [words.numbers(row, f"a row of {word}", 4) for row in value]
+
+
+_SIDE = words.whole(1, 65_536)
+
+#: A camera as files of cameras have it, and one that looks from a place to another, of which two words may be left out.
+_PINHOLE: dict[str, Checker] = {
+    **dict.fromkeys(("fx", "fy"), words.positive),
+    **dict.fromkeys(("cx", "cy"), words.number),
+    **dict.fromkeys(("width", "height"), _SIDE),
+    "camera_to_world": _pose,
+}
+
+_LOOKING: dict[str, Checker] = {
+    **dict.fromkeys(("eye", "target", "up"), _vector),
+    "fov_degrees": words.positive,
+    **dict.fromkeys(("width", "height"), _SIDE),
+}
+
+_USUAL = ("up", "fov_degrees")
+
+
+def _poses(value: Any, word: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise InputError(f"{word} must be a list of a pose for each edit, null where it removes, got {shown(value)}")
+    return [None if each is None else EDIT_WORDS["posed"](each, f"a pose of {word}") for each in value]
+
+
+_MOMENT: dict[str, Checker] = {"camera": _camera, "posed": _poses}
+
+
+def _moments(value: Any, word: str) -> tuple[dict[str, Any], ...]:
+    if not isinstance(value, list) or not value:
+        raise InputError(f"{word} must be a list of objects with a 'camera', 'posed', or both, got {shown(value)}")
+    return tuple(checked_words(each, _MOMENT, f"moment {number} of {word}") for number, each in enumerate(value, 1))
+
+
+def _size(value: Any, word: str) -> tuple[int, ...]:
+    sides = value if isinstance(value, list | tuple) else [value]
+    if not 1 <= len(sides) <= 2:
+        raise InputError(f"{word} must be a width, or [width, height], in pixels, got {shown(value)}")
+    return tuple(_SIDE(side, word) for side in sides)
+
+
+def _scale(value: Any, word: str) -> tuple[float, float]:
+    low, high = words.numbers(value, word, 2)
+    if high < low:
+        raise InputError(f"{word} must be [low, high], got [{low:g}, {high:g}]")
+    return low, high
+
+
+def _frame_outputs(value: Any, word: str) -> dict[str, str]:
+    if not isinstance(value, dict) or not value:
+        raise InputError(f'{word} must be an object such as {{"rgb": "{ID}.png", "depth": "{ID}.npy"}}')
+    for part, path in value.items():
+        if part not in PART_ENDINGS:
+            raise InputError(f"{word} has no {shown(part)}, only {', '.join(PART_ENDINGS)}")
+        endings = PART_ENDINGS[part]
+        if not isinstance(path, str) or not path.lower().endswith(endings):
+            raise InputError(f"{part!r} of {word} must end in {' '.join(endings)}, got {shown(path)}")
+    return dict(value)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FrameItem(Item):
+    """A picture of a field, as it is or deformed. Parts of outputs: see PART_ENDINGS; film: colours for films of
+    16 bits; pose: vertices of its posed cages; record: what `batch.worker.frame_record` says of it."""
+
+    outputs: Annotated[dict[str, str], _frame_outputs]
+    field: Annotated[str, text] = ""  # a file, voxels or splats
+    camera: Annotated[Any, _camera] = None  # an object, or a reference
+    edits: Annotated[tuple[EditWords, ...], _edits] = ()  # in the order in which they act; none: the field as it is
+    size: Annotated[tuple[int, ...], _size] = ()  # width, or width and height, of the camera; its own where it is empty
+    coordinates: Annotated[str, one_of(*COORDINATES)] = FIELD_COORDINATES
+    resolution: Annotated[int | str | None, _resolution] = None  # lattice cells, "precise"; None: by the picture's size
+    density: Annotated[str, one_of(*DENSITIES)] = "opacity"
+    map: Annotated[str | None, one_of(*SPLAT_MAPS)] = None
+    background: Annotated[Any, words.background] = None  # a colour, "transparent", or None: the field's own
+    fill: Annotated[bool, words.truth] = False  # whether what was uncovered is filled
+    overlay: Annotated[bool, words.truth] = False  # whether the cages are drawn into the picture
+    supersampling: Annotated[int | None, words.whole(1, 8)] = None  # rays along a pixel's side; None is the field's
+    antialias: Annotated[bool | None, words.truth] = None  # whether small splats are weakened; None: as their file says
+    disparity_scale: Annotated[tuple[float, float] | None, _scale] = None  # low and high; None is the frame's range
+    scene_scale: Annotated[float, words.positive] = 1.0  # as `VoxelField.load` has it
+    moments: Annotated[tuple[dict[str, Any], ...], _moments] = ()  # of a shutter: cameras, poses one an edit; see shots
+
+    kind: ClassVar[str] = "frame"
+    short: ClassVar[dict[str, Checker]] = EDIT_WORDS  # of one edit
+
+    @property
+    def group(self) -> str:
+        loaded = [self.field, self.scene_scale, *([edit.rest for edit in self.edits] or [None])]
+        how = [self.coordinates, self.resolution, self.density, self.map] if self.edits else []
+        return f"frame {self.field} {digest(loaded + how)}"
+
+    @property
+    def pose(self) -> str:
+        return digest([edit.posed for edit in self.edits]) if self.edits else ""
+
+    @property
+    def look(self) -> Look:
+        """How it is rendered, and what its picture in colours shows."""
+        from ..films.render import Look  # which needs Warp
+
+        return Look(self.background, self.fill, self.supersampling, self.antialias, overlay=self.overlay)
+
+    @property
+    def shots(self) -> list[FrameItem]:
+        """What is rendered for its picture: itself, or its moments, of which the picture is the mean."""
+        return [self._at(moment) for moment in self.moments] or [self]
+
+    def _at(self, moment: Mapping[str, Any]) -> FrameItem:
+        poses = moment.get("posed") or [edit.posed for edit in self.edits]
+        edits = [dataclasses.replace(edit, posed=posed) for edit, posed in zip(self.edits, poses, strict=True)]
+        return dataclasses.replace(self, camera=moment.get("camera", self.camera), edits=tuple(edits), moments=())
+
+    @property
+    def version(self) -> int:
+        if self.moments:
+            return 3
+        return 2 if any(edit.is_drawn for edit in self.edits) else 1
+
+    @classmethod
+    def _made(cls, entry: Mapping[str, Any], usual: dict[str, Any]) -> Item:
+        if entry.get("edits") is not None:  # which stands in place of the one edit that defaults may have
+            usual = {word: value for word, value in usual.items() if word not in cls.short}
+        elif entry.get("cage") is not None:
+            usual = {word: value for word, value in usual.items() if word != "edits"}
+        return super()._made(entry, usual)
+
+    @classmethod
+    def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
+        for word in ("field", "camera"):
+            if word not in given:
+                raise InputError(f"a frame needs a {word!r}")
+        short = {word: given.pop(word) for word in cls.short if word in given}
+        if short and "edits" in given:
+            raise InputError(f"{next(iter(short))!r} and 'edits' do not go together: put it into one of the edits")
+        if short:
+            if "cage" not in short:
+                raise InputError(f"{next(iter(short))!r} needs a 'cage', the cage at rest")
+            given["edits"] = (EditWords(**edit_fields(short)),)
+        outputs = given.get("outputs") or {"rgb": f"{ID}.png"}
+        given["outputs"] = {
+            part: output_path(path, given["id"], f"{part!r} of 'outputs'") for part, path in outputs.items()
+        }
+        _require_possible(given)
+        return given
+
+
+def _require_possible(given: dict[str, Any]) -> None:
+    """Raise ValueError for words of a frame that do not go together."""
+    outputs, edits = given["outputs"], given.get("edits")
+    if any(edit.held != "cut" and not edit.falloff for edit in edits or ()):
+        raise InputError("'held' names the walls that an edit fades towards: give it a 'falloff' too")
+    if len(set(outputs.values())) < len(outputs):
+        raise InputError(f"two of the 'outputs' are one file: {', '.join(outputs.values())}")
+    needing = [part for part in ("masks", "reveal", "fold", "outside") if part in outputs]
+    needing += [word for word in ("fill", "overlay") if given.get(word)]
+    if needing and not edits:
+        raise InputError(f"{needing[0]!r} needs a deformation: 'cage' and 'posed', or 'edits'")
+    removed = [edit.remove for edit in edits or ()]
+    for number, moment in enumerate(given.get("moments", ()), 1):
+        if "posed" in moment and [pose is None for pose in moment["posed"]] != removed:
+            raise InputError(f"moment {number} of 'moments' needs a pose for each edit, null for one that removes")
+        if sharp := [part for part, path in outputs.items() if not path.lower().endswith(OF_MOMENTS.get(part, ()))]:
+            raise InputError(f"'moments' blur pictures in colours: leave {outputs[sharp[0]]!r} of 'outputs' out")
+    if given.get("resolution") == "precise" and given.get("coordinates", FIELD_COORDINATES) == "harmonic":
+        raise InputError("harmonic coordinates have no closed form: give 'resolution' a number, or leave it out")
+    clear = given.get("background") == TRANSPARENT
+    if clear and outputs.get("rgb", "").lower().endswith((".jpg", ".jpeg")):
+        raise InputError("a JPEG has no opacity: write a .png or .exr, or name another 'background'")
+    if given.get("fill") and given.get("background") is not None:
+        raise InputError("'fill' continues the field's own background: it cannot be combined with 'background'")
+
+
+def _options(value: Any, word: str) -> dict[str, Any]:
+    from ...fitting.fit import REPRESENTATIONS  # these need Warp
+    from ...fitting.options import checked_options, checked_seed
+    from ...fitting.splats.options import checked_splat_options
+
+    if not isinstance(value, dict):
+        raise InputError(f'{word} must be an object such as {{"quality": "fast"}}, got {shown(value)}')
+    kind = value.get("representation", "voxels")
+    if kind not in REPRESENTATIONS or (kind == "splats" and "bounds" in value):
+        raise InputError(f"{word}: 'representation' must be voxels, or splats without 'bounds', got {shown(kind)}")
+    try:
+        check = checked_options if kind == "voxels" else checked_splat_options
+        check({name: each for name, each in value.items() if name not in ("seed", "bounds", "representation")})
+        checked_seed(value.get("seed", 0))
+        if value.get("bounds") is not None:
+            checked_bounds(value["bounds"])
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{word}: {error}") from None
+    return value
+
+
+def _output(*endings: str) -> Checker:
+    def check(value: Any, word: str) -> str:
+        if not isinstance(value, str) or not value.lower().endswith(endings):
+            raise InputError(f"{word} must end in {' '.join(endings)}, got {shown(value)}")
+        return value
+
+    return check
+
+
+def _masks(value: Any, word: str) -> bool | str:
+    if value in ("split", "weights") or isinstance(value, bool):
+        return value
+    raise InputError(f'{word} must be true, false, "split" or "weights", got {shown(value)}')
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FitItem(Item):
+    """A fit of a field to the pictures of a scene; outputs: {"field": file}, and {"cameras": file} where refined."""
+
+    scene: Annotated[str, text] = ""  # folder
+    options: Annotated[dict[str, Any], _options] = dataclasses.field(default_factory=dict)  # of `warpcage.fit`
+    split: Annotated[str, text] = "train"  # as `load_scene` has it, and so the rest
+    downscale: Annotated[int, words.whole(1)] = 1  # factor by which pictures shrink
+    format: Annotated[str | None, text] = None  # None finds it
+    masks: Annotated[bool | str, _masks] = True  # what mask files are
+    cameras: Annotated[str | None, text] = None  # camera file of the scene; None takes those of its files
+    background: Annotated[Any, words.color] = "white"  # colour behind transparent pixels
+    straighten: Annotated[bool, words.truth] = False  # whether the scene is turned so that its up is +z
+
+    kind: ClassVar[str] = "fit"
+    short: ClassVar[dict[str, Checker]] = {"output": _output(".npz", *SPLAT_ENDINGS)}
+
+    @property
+    def group(self) -> str:
+        return f"fit {self.scene}"
+
+    @classmethod
+    def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
+        if "scene" not in given:
+            raise InputError("a fit needs a 'scene', the folder of its pictures")
+        refined = given.get("options", {}).get("refine_cameras") is True  # of "auto" it is not known
+        of_splats = given.get("options", {}).get("representation") == "splats"
+        if "output" in given:
+            _output(*SPLAT_ENDINGS if of_splats else (".npz",))(given["output"], "'output'")
+        if of_splats:
+            named = given.get("output") or (given.get("outputs") or {}).get("field", "")
+            ending = next((ending for ending in SPLAT_ENDINGS if str(named).lower().endswith(ending)), ".ply")
+            given["outputs"] = _outputs(given, {"field": ending})
+            return given
+        given["outputs"] = _outputs(given, {"field": ".npz"} | ({"cameras": ".cameras.json"} if refined else {}))
+        return given
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class EvaluateItem(Item):
+    """A comparison of a field with pictures of a scene, as `warpcage evaluate` makes it; outputs: {"report": file}."""
+
+    field: Annotated[str, text] = ""  # a file, voxels
+    scene: Annotated[str, text] = ""  # folder
+    split: Annotated[str, text] = "test"  # as `load_scene` has it, and so the rest
+    downscale: Annotated[int, words.whole(1)] = 1  # factor by which pictures shrink
+    format: Annotated[str | None, text] = None  # None finds it
+    masks: Annotated[bool | str, _masks] = True  # what mask files are
+    cameras: Annotated[str | None, text] = None  # camera file of the scene; None takes those of its files
+    background: Annotated[Any, words.color] = None  # colour behind the field; None is the field's own
+    given_cameras: Annotated[bool, words.truth] = False  # whether cameras stay where those of the fit were refined
+    tune_cameras: Annotated[bool, words.truth] = False  # whether each view's camera is moved first, to match the field
+    scene_scale: Annotated[float, words.positive] = 1.0  # as `VoxelField.load` has it
+
+    kind: ClassVar[str] = "evaluate"
+    short: ClassVar[dict[str, Checker]] = {"output": _output(".json")}
+
+    @property
+    def group(self) -> str:
+        return f"evaluate {self.field} {digest([self.field, self.scene_scale])}"
+
+    @property
+    def pose(self) -> str:
+        return self.scene
+
+    @classmethod
+    def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
+        for word in ("field", "scene"):
+            if word not in given:
+                raise InputError(f"an evaluation needs a {word!r}")
+        given["outputs"] = _outputs(given, {"report": ".json"})
+        return given
+
+
+def _outputs(given: dict[str, Any], endings: dict[str, str]) -> dict[str, str]:
+    """The outputs of a fit or an evaluation, of "output", the first of them, or of "outputs" as `to_json` writes it."""
+    named, several = given.pop("output", None), given.pop("outputs", None)
+    (first, ending), *others = endings.items()
+    if several is None:
+        named = named or f"{ID}{ending}"
+        several = {first: named} | {part: named[: -len(ending)] + each for part, each in others}
+    elif named is not None or not isinstance(several, dict) or set(several) != set(endings):
+        raise InputError(f"'outputs' must be an object of {', '.join(endings)}, without 'output' beside it")
+    for part, path in several.items():
+        _output(endings[part])(path, f"{part!r} of 'outputs'")
+    return {part: output_path(path, given["id"], f"{part!r} of 'outputs'") for part, path in several.items()}
+
+
+#: Items by the word of their kind.
+KINDS: dict[str, type[Item]] = Item.kinds
+
+#: Kinds of records, as "records" of a job's header has them.
+FOLDER, WEBDATASET = "folder", "webdataset"
+
+#: What lists the frames of a folder.
+TRANSFORMS = "transforms.json"
+
+#: Items of a shard where the header does not say.
+ITEMS_PER_SHARD = 1000
+
+#: Endings of the parts of a record after an item's id.
+POSE_ENDING, DEPTH_ENDING, ALPHA_ENDING, RECORD_ENDING = ".pose.npy", ".depth.npy", ".alpha.png", ".json"
+
+
+def record_outputs(records: Mapping[str, Any]) -> dict[str, str]:
+    """The files of each item of a job with records: names by part, with `{id}` where the item's id goes."""
+    outputs = {"rgb": f"{ID}.{records.get('image', 'png')}"}
+    if records.get("depth", True):
+        outputs["depth"] = ID + DEPTH_ENDING
+    if records.get("alpha", True):
+        outputs["alpha"] = ID + ALPHA_ENDING
+    return outputs | {"pose": ID + POSE_ENDING, "record": ID + RECORD_ENDING}
+
+
+def require_frame(entry: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:
+    """Refuse a line of a job with records that is no frame: a ValueError. defaults: "defaults" of the header."""
+    kind = entry.get("kind") or defaults.get("kind") or FrameItem.kind
+    if kind != FrameItem.kind:
+        raise InputError(f"'records' are of frames: an item of kind {shown(kind)} belongs into another job")
+
+
+def require_recordable(entry: Mapping[str, Any], item: Item, records: Mapping[str, Any]) -> None:
+    """Refuse a frame that cannot be a record: with outputs of its own, or an id that a data set would cut or has
+    itself."""
+    expected = {part: path.replace(ID, item.id) for part, path in record_outputs(records).items()}
+    if entry.get("outputs") is not None and item.outputs != expected:
+        raise InputError("'records' of the header say what is written: leave 'outputs' out")
+    name = item.id.rpartition("/")[2]
+    if records["kind"] == FOLDER and name + RECORD_ENDING == TRANSFORMS:
+        raise InputError(f"a folder of records has a {TRANSFORMS} of its own: call it something else")
+    if records["kind"] == WEBDATASET and "." in name:
+        raise InputError(f"a WebDataset cuts names at their first dot: call it {name.replace('.', '_')!r}")

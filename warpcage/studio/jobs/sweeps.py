@@ -1,0 +1,323 @@
+"""Sweeps: poses times cameras times coordinates as a job file."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import multiprocessing
+import pathlib
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...cage.cage import Cage
+from ...cage.random_poses import RandomNumbers, RandomPoses
+from ...core.checks import checked_whole
+from ...core.files import PathLike, atomic_path, path_from
+from ...core.names import FIELD_COORDINATES, require_coordinates
+from ...edits.words import drawn_words
+from ...errors import InputError
+from ...view.camera import Camera, CameraFile, CameraKey
+from .job_file import write_jobs
+
+#: Poses that a process gets at once, and that each gets before the next ones are handed out.
+AT_ONCE, AHEAD = 4, 256
+
+#: What this process draws.
+_drawn: list[RandomPoses] = []
+
+
+def rows_by_processes(poses: RandomPoses, count: int, processes: int) -> Iterator[np.ndarray]:
+    """The vertices (v, 3) float64, world units, of the first poses in their order: those of this process, to the bit.
+    Processes are started anew, not copied: a program needs `if __name__ == "__main__":` around what it does."""
+    poses.probe  # noqa: B018  (made once, and sent with the poses)
+    fresh = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, fresh, initializer=_begin, initargs=(poses,)) as pool:
+        step = AHEAD * processes
+        for first in range(0, count, step):
+            yield from pool.map(_draw, range(first, min(first + step, count)), chunksize=AT_ONCE)
+
+
+def _begin(poses: RandomPoses) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this ends it
+    _drawn.append(poses)
+
+
+def _draw(number: int) -> np.ndarray:
+    return _drawn[0].vertices(number)
+
+
+#: Highest camera of random views above the horizon, and how much farther than needed the farthest stands.
+MOST_ELEVATION, FARTHEST = 80.0, 1.3
+
+#: Ends of the keys of streams of random numbers: those of poses have two parts, and share none with these.
+_VIEWS, _CHOICES = (0, 1), (0, 2)
+
+#: Random poses that are drawn to find cameras that see all whole, where workers draw them.
+FRAMED = 256
+
+#: Random poses that take longer than starting processes for them.
+WORTH_PROCESSES = 200
+
+
+@dataclasses.dataclass(frozen=True)
+class RandomSource:
+    """Random poses of one seed."""
+
+    poses: RandomPoses[Cage]
+    count: int
+    written: bool = False  # drawn at once, and their vertices written; else whoever makes an item draws its pose
+    processes: int = 1  # that draw what is drawn at once, where that is much; see `rows_by_processes`
+
+    def __len__(self) -> int:
+        return self.count
+
+    def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
+        """The vertices of each, (v, 3), world units; most: of the first ones alone."""
+        count = self.count if most is None else min(most, self.count)
+        if self.processes == 1 or count < WORTH_PROCESSES:
+            return map(self.poses.vertices, range(count))
+        return rows_by_processes(self.poses, count, self.processes)
+
+    def drawn(self, number: int) -> dict[str, Any] | None:
+        """What a worker draws a pose by, as items have it; None where its vertices are written."""
+        return None if self.written else drawn_words(self.poses.chance, number)
+
+    def origin(self, number: int) -> dict[str, Any]:
+        """What is kept of where a pose comes from."""
+        return {"seed": self.poses.seed, "number": number}
+
+
+@dataclasses.dataclass(frozen=True)
+class GivenSource:
+    """Poses that are there."""
+
+    vertices: Sequence[np.ndarray] | np.ndarray  # (p, v, 3) world units; or as many cages' vertices
+    name: str
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+    def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
+        return iter(self.vertices[:most])
+
+    def drawn(self, number: int) -> None:
+        """Their vertices are written."""
+
+    def origin(self, number: int) -> dict[str, Any]:
+        return {"source": self.name} | ({"number": number} if len(self) > 1 else {})
+
+
+#: Some poses of one cage.
+PoseSource = RandomSource | GivenSource
+
+
+@dataclasses.dataclass(frozen=True)
+class RandomViews:
+    """Cameras at random places of the upper half of the sphere, other ones for each pose."""
+
+    count: int  # for each pose
+    points: ArrayLike  # (n, 3) what every picture shows whole, world units
+    seed: int = 0
+    up: Sequence[float] = (0.0, 0.0, 1.0)
+    fov_degrees: float = 40.0  # horizontal
+    width: int = 400
+    height: int = 400
+
+    def of(self, pose: int) -> list[dict[str, Any]]:
+        """The cameras of a pose by its number in the sweep, as items have them."""
+        points = np.asarray(self.points, np.float64)
+        target = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        radius = float(np.linalg.norm(points - target, axis=1).max())
+        half = math.tan(math.radians(self.fov_degrees) / 2) * min(1.0, self.height / self.width)
+        nearest = max(radius, 1e-9) / math.sin(math.atan(half))
+        up = np.asarray(self.up, np.float64) / np.linalg.norm(self.up)
+        side = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+        side /= np.linalg.norm(side)
+        random = RandomNumbers(self.seed, (pose, *_VIEWS))
+        cameras = []
+        for _ in range(self.count):
+            height = random.number(0.0, math.sin(math.radians(MOST_ELEVATION)))  # even over the sphere's area
+            turn, distance = 2.0 * math.pi * random.number(), nearest * random.number(1.0, FARTHEST)
+            flat = math.sqrt(1.0 - height * height)
+            across = math.cos(turn) * side + math.sin(turn) * np.cross(up, side)
+            eye = target + distance * (flat * across + height * up)
+            view = {"eye": eye.tolist(), "target": target.tolist(), "up": up.tolist()}
+            cameras.append(
+                view | {"fov_degrees": self.fov_degrees, "width": int(self.width), "height": int(self.height)}
+            )
+        return cameras
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepFiles:
+    """What a sweep wrote."""
+
+    jobs: pathlib.Path
+    poses: pathlib.Path | None  # (p, v, 3) float64, world units (.npy), of those that workers do not draw; None: none
+    cameras: pathlib.Path | None  # those that all poses share; None where each pose has its own
+    items: int
+
+
+def poses_path(jobs: PathLike) -> pathlib.Path:
+    """The file of a sweep's poses; jobs: its job file."""
+    path = pathlib.Path(jobs)
+    return path.with_name(f"{path.stem}.poses.npy")
+
+
+def cameras_path(jobs: PathLike) -> pathlib.Path:
+    """The file of a sweep's cameras; jobs: its job file."""
+    path = pathlib.Path(jobs)
+    return path.with_name(f"{path.stem}.cameras.json")
+
+
+class _Corners:
+    """The lowest and highest corner of a cage at rest and its poses."""
+
+    def __init__(self, rest: Cage):
+        self._shape = rest.vertices.shape
+        self.found = np.array(rest.bounds, np.float64)
+
+    def checked(self, source: PoseSource, most: int | None = None) -> Iterator[np.ndarray]:
+        """The poses of a source; most: the first ones alone. Raises ValueError for vertices that do not fit."""
+        for number, row in enumerate(source.rows(most)):
+            vertices = np.ascontiguousarray(row, dtype="<f8")
+            if vertices.shape != self._shape or not np.isfinite(vertices).all():
+                raise InputError(
+                    f"pose {number} of {source.origin(number)} must be {self._shape} finite numbers as the cage at "
+                    f"rest has them, got shape {vertices.shape}"
+                )
+            self.found[0] = np.minimum(self.found[0], vertices.min(axis=0))
+            self.found[1] = np.maximum(self.found[1], vertices.max(axis=0))
+            yield vertices
+
+
+def _write_poses(path: pathlib.Path, rest: Cage, sources: Sequence[PoseSource], corners: _Corners) -> None:
+    """Write poses as one array, one after the other."""
+    header = {"descr": "<f8", "fortran_order": False, "shape": (sum(map(len, sources)), *rest.vertices.shape)}
+    # written, not mapped: a disk that gets full under a mapped file kills the process
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        for source in sources:
+            for vertices in corners.checked(source):
+                file.write(vertices.tobytes())
+
+
+def _look_at_drawn(sources: Sequence[PoseSource], corners: _Corners, framed: bool) -> None:
+    """Draw some of the poses that workers draw: those that cameras are to see whole, or the first, as a trial."""
+    total = sum(map(len, sources))
+    share = None if total <= FRAMED else -(-FRAMED // len(sources))
+    for source in sources:
+        for _ in corners.checked(source, share if framed else 1):
+            pass
+
+
+def write_sweep(
+    path: PathLike,
+    *,
+    field: PathLike,
+    cage: PathLike,
+    rest: Cage,
+    sources: Sequence[PoseSource],
+    cameras: Sequence[Camera] | Callable[[np.ndarray], Sequence[Camera] | RandomViews],
+    coordinates: Sequence[str] = (FIELD_COORDINATES,),
+    views: int | None = None,
+    seed: int = 0,
+    records: Mapping[str, Any] | None = None,
+    defaults: Mapping[str, Any] | None = None,
+) -> SweepFiles:
+    """Write the job file of a sweep, and beside it its poses (`poses_path`) and the cameras that they share.
+    cameras: shared, in the world of the field; or a function that makes them, or `RandomViews`, of corners (2, 3)."""
+    # Poses that workers draw are named by what they are drawn by, and not written. Corners: the lowest and highest of
+    # all poses and of the cage at rest; of poses that workers draw the first FRAMED, spread over their sources. Each
+    # pose is seen from `views` of the shared cameras, chosen at random by `seed`, or from all (None). `records`: see
+    # docs/sweeps.md; None is a folder. `defaults`: words that all items share, such as "background".
+    path = pathlib.Path(path)
+    kinds = [require_coordinates(kind) for kind in coordinates]
+    if not kinds or len(set(kinds)) < len(kinds):
+        raise InputError(f"a sweep needs kinds of coordinates, each once, got {list(coordinates)}")
+    if not sum(map(len, sources)):
+        raise InputError("a sweep needs at least one pose")
+    given = [source for source in sources if len(source) and source.drawn(0) is None]
+    drawn = [source for source in sources if len(source) and source.drawn(0) is not None]
+    corners = _Corners(rest)
+    _look_at_drawn(drawn, corners, callable(cameras))
+    with atomic_path(poses_path(path)) if given else contextlib.nullcontext() as temporary:
+        if temporary is not None:
+            _write_poses(temporary, rest, given, corners)
+        chosen = cameras(corners.found) if callable(cameras) else cameras
+        beside = path.absolute().parent
+        shared = {"field": path_from(beside, field), "cage": path_from(beside, cage), **(defaults or {})}
+        items = _Items(path, sources, chosen, kinds, views, seed)
+        count = write_jobs(path, items, defaults=shared | items.shared, records=records or {"kind": "folder"})
+        if not isinstance(chosen, RandomViews):
+            # names that are their numbers: those of files may be anything
+            CameraFile([CameraKey(camera, name=str(index)) for index, camera in enumerate(chosen)]).save(items.named)
+    return SweepFiles(
+        path, poses_path(path) if given else None, None if isinstance(chosen, RandomViews) else items.named, count
+    )
+
+
+class _Items:
+    """The items of a sweep by pose, coordinates and camera: a map is made once for the cameras of a pose."""
+
+    def __init__(
+        self,
+        path: pathlib.Path,
+        sources: Sequence[PoseSource],
+        cameras: Sequence[Camera] | RandomViews,
+        kinds: Sequence[str],
+        views: int | None,
+        seed: int,
+    ):
+        self._sources, self._cameras, self._kinds, self._views, self._seed = sources, cameras, kinds, views, seed
+        self._count = cameras.count if isinstance(cameras, RandomViews) else len(cameras)
+        if not self._count:
+            raise InputError("a sweep needs at least one camera")
+        if views is not None:
+            if isinstance(cameras, RandomViews):
+                raise InputError("random views are other ones for each pose: ask for as many as are wanted")
+            checked_whole(views, "views", 1, self._count)
+        self._poses, self.named = poses_path(path).name, cameras_path(path)
+        self.shared = {"coordinates": kinds[0]} if len(kinds) == 1 else {}
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        several = len(self._kinds) > 1
+        digits = max(3, len(str(self._count - 1)))
+        for pose, (posed, origin) in enumerate(self._named_poses()):
+            own = self._cameras.of(pose) if isinstance(self._cameras, RandomViews) else None
+            chosen = range(self._count) if self._views is None else _chosen(self._seed, pose, self._count, self._views)
+            for kind in self._kinds:
+                folder = f"pose_{pose:06d}" + (f"_{kind}" if several else "")
+                for number in chosen:
+                    yield {
+                        "id": f"{folder}/camera_{number:0{digits}d}",
+                        "posed": posed,
+                        "camera": f"{self.named.name}#{number}" if own is None else own[number],
+                        **({"coordinates": kind} if several else {}),
+                        "extra": {"pose": pose, "camera": number, **origin},
+                    }
+
+    def _named_poses(self) -> Iterator[tuple[Any, dict[str, Any]]]:
+        """What items call each pose, and where it comes from."""
+        row = 0
+        for source in self._sources:
+            for number in range(len(source)):
+                posed = source.drawn(number)
+                yield f"{self._poses}#{row}" if posed is None else posed, source.origin(number)
+                row += posed is None
+
+
+def _chosen(seed: int, pose: int, count: int, views: int) -> list[int]:
+    """Some of the numbers below `count`, each set of them as likely as another, ascending."""
+    random = RandomNumbers(seed, (pose, *_CHOICES))
+    numbers = list(range(count))
+    for place in range(views):
+        other = place + random.whole(count - place)
+        numbers[place], numbers[other] = numbers[other], numbers[place]
+    return sorted(numbers[:views])

@@ -1,0 +1,480 @@
+"""A worker: makes items one after another, each whole or not at all, and keeps what the next ones need."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import json
+import os
+import pathlib
+from collections.abc import Callable, Hashable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+
+from ... import __version__
+from ...cage.cage import Cage
+from ...core.arrays import array_bytes
+from ...core.devices import resolve_device
+from ...core.memory import LRUCache, free_bytes, is_shortage
+from ...core.overlap import SPARE, TASK_THREADS, Gate
+from ...core.threads import cpu_threads
+from ...deform.deformer import Deformer
+from ...edits.edits import edit_of_words, picture_cells
+from ...edits.words import canonical
+from ...errors import InputError
+from ...field.voxel_field import VoxelField
+from ...fitting.cameras import tuned_scene
+from ...fitting.evaluation import evaluation_report, in_world_of, moved_scene, refined_cameras_of, warn_of_mismatch
+from ...fitting.fit import fit
+from ...scene.load import load_scene
+from ...scene.parsing import TO_OPENCV
+from ...scene.scene import Scene
+from ...splats.io import splat_path
+from ...splats.splat_field import AnyField, read_field
+from ...view.camera import Camera, CameraKey, camera_json
+from ...view.exr import mean_picture, write_picture
+from ...view.film import deep_pixels, write_film_frame
+from ...view.frame import RGB_BYTES, Frame, depth_along_view
+from ...view.frame_parts import picture
+from ...view.pictures import LIGHT_KEPT, PictureCuts, to_uint8
+from ..films.render import HeldPose, drawn_cages, require_fillable
+from ..films.words import References, RestCage
+from .items import EvaluateItem, FitItem, FrameItem, Item, digest
+from .job_file import Fingerprints
+from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, write_array, write_outputs
+
+#: Most deformers that stay bound to a field.
+MOST_DEFORMERS = 4
+
+#: Parts of a frame that no picture is needed for.
+OF_RECORDS = ("pose", "record")
+
+#: Endings of pictures with 8 bits a channel.
+BYTE_ENDINGS = (".png", ".jpg", ".jpeg")
+
+#: Arrays of a frame that a part is made of. Others are made of all.
+ARRAYS_OF_PARTS = {
+    "rgb": ("rgb",),
+    "film": ("rgb",),
+    "alpha": ("alpha",),
+    "depth": ("alpha", "depth"),
+    "disparity": ("alpha", "depth"),
+    "reveal": ("reveal",),
+    "fold": ("fold",),
+    "outside": ("outside",),
+}
+
+
+@dataclasses.dataclass
+class Counts:
+    """How often something was made, by which reuse is seen."""
+
+    deformers: int = 0  # cages at rest that were bound to a field, maps of poses, pictures rendered
+    poses: int = 0
+    frames: int = 0
+
+
+class Bound(HeldPose):
+    """A Deformer, the pose that it holds, and its cages at rest."""
+
+    def __init__(self, deformer: Deformer, rests: list[RestCage]):
+        super().__init__(deformer)
+        self.rests = rests
+
+
+#: Most fields that stay loaded, and the share of the memory that is free at first for them and what is bound to them.
+MOST_FIELDS, MEMORY_SHARE = 8, 0.5
+
+
+class LoadedFields:
+    """Fields by their files, of which those stay loaded that were used last.
+    memory: bytes that they may take together, but one stays whatever it takes; None is a quarter of what is free."""
+
+    def __init__(self, references: References, device: wp.Device, memory: int | None = None):
+        self.references, self.device, self.read_count = references, device, 0
+        self.dropped: Callable[[AnyField], Any] = lambda field: None  # called with a field that is let go, before it is
+        limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
+        self.kept: LRUCache[AnyField] = LRUCache(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
+
+    def get(self, name: str, scene_scale: float) -> tuple[Hashable, AnyField]:
+        """A key that is another where the file has changed, and the field; scene_scale: as `VoxelField.load` has it."""
+        path, stamp = self.references.stamped(str(splat_path(self.references.path(name))), "field file")
+
+        def load() -> AnyField:
+            self.read_count += 1
+            return read_field(path, scene_scale=scene_scale)(self.device)
+
+        key = path, stamp, scene_scale
+        return key, self.kept.get(key, load)
+
+
+class Shot(NamedTuple):
+    """A frame that was rendered, and what it shows."""
+
+    frame: Frame
+    camera: Camera
+    posed: list[Cage | None]
+    drawn: list[Cage]  # cages whose edges an overlay draws
+    bound_key: Hashable
+
+
+class WorkerCuts(PictureCuts):
+    """Counts over all pictures of a worker, and says it once."""
+
+    def __init__(self, device: wp.Device):
+        super().__init__()
+        self.floats = not device.is_cuda  # from a GPU come bytes alone where they do: it has cut them
+        self.said = False
+
+    def tell(self, path: str) -> None:
+        """Say what was cut up to now, with the picture that showed it first."""
+        self.said = self.said or self.warn(path, f"{LIGHT_KEPT}; others are not told of")
+
+
+class FrameMaker:
+    """Renders frames, and keeps what the next ones need: fields, deformers, and the map of the last pose.
+    memory: bytes of deformers beside their fields, one stays whatever it takes; None is a quarter of what is free."""
+
+    def __init__(self, references: References, fields: LoadedFields, memory: int | None = None):
+        self.references, self.fields, self.counts, self.cuts = references, fields, Counts(), WorkerCuts(fields.device)
+        limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
+        self.kept: LRUCache[Bound] = LRUCache(MOST_DEFORMERS, limit, _bound_bytes)
+        fields.dropped = self._drop_bound_to
+
+    def _drop_bound_to(self, field: AnyField) -> None:
+        """Let go of what is bound to a field, which would keep it loaded."""
+        for key, bound in self.kept.items():
+            if bound.deformer.field is field:
+                self.kept.drop(key)
+
+    def make(self, item: FrameItem) -> MadeItem:
+        """Render a frame; what is made writes its outputs."""
+        field_key, field = self.fields.get(item.field, item.scene_scale)
+        if item.antialias is not None and isinstance(field, VoxelField):
+            raise InputError("'antialias' is for files of splats, this field is one of voxels (.npz)")
+        if item.fill:
+            require_fillable(field, "'fill'")
+        shots = item.shots
+        middle, images = self._shot(shots[len(shots) // 2], field_key, field), []
+        for number, each in enumerate(shots if item.moments else ()):
+            shot = middle if number == len(shots) // 2 else self._shot(each, field_key, field)
+            images.append(item.look.picture(shot.frame, shot.camera, shot.drawn))
+            if images[-1].shape != images[0].shape:
+                raise InputError(f"moment {number + 1} of 'moments' has a picture of another size than the first")
+        frame, bound_key = middle.frame, middle.bound_key
+        needed = needed_arrays(item, frame)
+        frame.begin_copies(*needed)  # on their way to the host when this returns
+        mean = mean_picture(images) if images else None
+        pictures = [(part, path) for part, path in item.outputs.items() if part not in OF_RECORDS]
+        writers = {path: _writer(part, path, item, middle, mean, self.cuts) for part, path in pictures}
+        writers |= _record_writers(item, middle.camera, middle.posed)
+        self.fields.kept.settle(field_key)
+        self.kept.settle(bound_key)
+        return MadeItem(writers, sum(_host_bytes(frame, name) for name in needed))
+
+    def _shot(self, item: FrameItem, field_key: Hashable, field: AnyField) -> Shot:
+        """Pose and render an item without moments."""
+        camera = self.references.camera(item.camera, item.size, field)
+        bound_key, renderer, drawn = None, field, []
+        posed: list[Cage | None] = []
+        if item.edits:
+            bound_key, bound = self._deformer(item, field_key, field, camera)
+            posed = self._pose(bound, item)
+            renderer, drawn = bound.deformer, drawn_cages(bound.deformer)
+        frame = item.look.render(renderer, camera)
+        self.counts.frames += 1
+        return Shot(frame, camera, posed, drawn, bound_key)
+
+    def _deformer(
+        self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera
+    ) -> tuple[Hashable, Bound]:
+        cells = picture_cells(camera) if item.resolution is None else item.resolution
+        files = [self.references.stamped(edit.cage, "cage file") for edit in item.edits if isinstance(edit.cage, str)]
+        rest = canonical([edit.rest for edit in item.edits])
+        key = field_key, rest, tuple(files), item.coordinates, cells, item.density, item.map
+
+        def bind() -> Bound:
+            rests = [self.references.rest_cage(edit, field) for edit in item.edits]
+            edits = [edit_of_words(edit, rest.cage) for edit, rest in zip(item.edits, rests, strict=True)]
+            self.counts.deformers += 1
+            resolution = None if cells == "precise" else int(cells)
+            options: dict[str, Any] = {"coordinates": item.coordinates, "density": item.density, "map": item.map}
+            return Bound(Deformer(field, edits, resolution=resolution, **options), rests)
+
+        return key, self.kept.get(key, bind)
+
+    def _pose(self, bound: Bound, item: FrameItem) -> list[Cage | None]:
+        """Move the cages of a Deformer, if they are not there; returns them."""
+        field, edits = bound.deformer.field, zip(item.edits, bound.rests, strict=True)
+        cages = [self.references.posed_cage(edit, rest, field) for edit, rest in edits]
+        self.counts.poses += bound.pose(cages)
+        return cages
+
+
+def _bound_bytes(bound: Bound) -> int:
+    return array_bytes(bound.deformer, leave=(bound.deformer.field,))
+
+
+def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
+    """Names of the arrays of a frame that its outputs are made of: to copy all takes longer than a frame on a GPU."""
+    needed = {"alpha"} if item.look.is_clear else set()
+    for part, path in item.outputs.items():
+        if part not in OF_RECORDS:
+            needed.update([RGB_BYTES] if is_bytes(item, part, path) else ARRAYS_OF_PARTS.get(part, frame.arrays))
+    return [name for name in (*frame.arrays, RGB_BYTES) if name in needed]
+
+
+def is_bytes(item: FrameItem, part: str, path: str) -> bool:
+    """Whether an output is made of the colours of a frame as bytes, with nothing done to them."""
+    plain = part == "rgb" and not item.look.is_clear and not item.overlay and not item.moments
+    return plain and pathlib.PurePosixPath(path).suffix.lower() in BYTE_ENDINGS
+
+
+def _host_bytes(frame: Frame, name: str) -> int:
+    """Bytes of an array on the host."""
+    values = 3 if name in ("rgb", RGB_BYTES) else 1
+    return frame.width * frame.height * values * (1 if name == RGB_BYTES else 4)
+
+
+def pose_array(posed: Sequence[Cage | None]) -> np.ndarray:
+    """Vertices (v, 3) float64, world units, of the posed cages of a frame, one edit after the other; None: one that
+    removes."""
+    return np.concatenate([np.zeros((0, 3)), *(cage.vertices for cage in posed if cage is not None)])
+
+
+def frame_record(item: FrameItem, camera: Camera, posed: Sequence[Cage | None]) -> dict[str, Any]:
+    """What is written beside a picture, JSON; posed: the cage of each edit, None for one that removes."""
+    edits = []
+    for edit, cage in zip(item.edits, posed, strict=True):
+        words = edit.to_json()
+        if isinstance(words.get("posed"), list):
+            del words["posed"]  # numbers, which the pose's own file has
+        edits.append(words | {"pose_vertices": 0 if cage is None else len(cage.vertices)})  # rows in the pose's array
+    record: dict[str, Any] = {
+        "id": item.id,
+        "field": item.field,
+        "camera": camera_json(CameraKey(camera)),  # OpenCV axes
+        "transform_matrix": (camera.camera_to_world @ TO_OPENCV).tolist(),  # of NeRF-synthetic: +y up, -z forward
+        "background": item.background,
+    }
+    if edits:
+        record |= {"coordinates": item.coordinates, "density": item.density, "edits": edits}
+    return record if item.extra is None else record | {"extra": item.extra}
+
+
+def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -> dict[str, Writer]:
+    """What writes the parts of a record that are no pictures."""
+    writers: dict[str, Writer] = {
+        "pose": lambda path: write_array(path, pose_array(posed)),
+        "record": lambda path: path.write_bytes(
+            (json.dumps(frame_record(item, camera, posed), ensure_ascii=False) + "\n").encode()
+        ),
+    }
+    return {item.outputs[part]: write for part, write in writers.items() if part in item.outputs}
+
+
+def _writer(part: str, path: str, item: FrameItem, shot: Shot, mean: np.ndarray | None, cuts: WorkerCuts) -> Writer:
+    """What writes a picture of a frame; mean: its colours where they are those of several moments."""
+    frame, camera = shot.frame, shot.camera
+    ending = pathlib.PurePosixPath(path).suffix.lower()
+    if part in ("reveal", "fold", "outside", "masks") and "reveal" not in frame.arrays:
+        raise InputError(f"{part!r} is for fields of voxels (.npz), this one is of splats")
+    if ending == ".npy":
+        return lambda temporary: write_array(temporary, getattr(frame, part))
+
+    def image() -> np.ndarray:
+        if is_bytes(item, part, path):
+            return frame.rgb if cuts.floats else frame.rgb_bytes
+        if part in ("rgb", "film"):
+            return item.look.picture(frame, camera, shot.drawn) if mean is None else mean
+        if part in ("reveal", "fold"):
+            return np.clip(getattr(frame, part), 0.0, 1.0)
+        return picture(frame, part, scale=item.disparity_scale)
+
+    if ending == ".exr":
+        shown = (lambda: np.repeat(frame.alpha[..., None], 3, axis=-1)) if part == "depth" else image
+        return lambda temporary: write_picture(temporary, shown(), depth_along_view(frame, camera), cuts=cuts)
+
+    def write(temporary: pathlib.Path) -> None:
+        if part == "film":
+            write_film_frame(temporary, deep_pixels(image(), cuts))
+        else:
+            write_picture(temporary, to_uint8(image(), cuts))
+        cuts.tell(path)
+
+    return write
+
+
+def _scene(item: FitItem | EvaluateItem, references: References, background: Any, **options: Any) -> Scene:
+    return load_scene(
+        references.path(item.scene),
+        split=item.split,
+        downscale=item.downscale,
+        format=item.format,
+        background=background,
+        masks=item.masks,
+        cameras=None if item.cameras is None else references.path(item.cameras),
+        **options,
+    )
+
+
+class FitMaker:
+    """Fits fields, and keeps the pictures of the last scene: to read them takes as long as a short fit.
+    fingerprints: of what items read, by which a changed scene is known."""
+
+    def __init__(self, references: References, fingerprints: Fingerprints, device: wp.Device):
+        self.references, self.fingerprints, self.device, self.read_count = references, fingerprints, device, 0
+        self.scenes: LRUCache[Scene] = LRUCache(1)
+
+    def make(self, item: FitItem, checkpoint: pathlib.Path | None = None) -> MadeItem:
+        """Fit a field to the pictures of a scene, as `warpcage fit` does; what is made writes its outputs.
+        checkpoint: file (.npz) that holds the progress, from which a fit goes on whose worker died; None keeps none."""
+        scene = self._read(item)
+        if checkpoint is not None:
+            checkpoint.parent.mkdir(parents=True, exist_ok=True)
+        field = fit(scene, device=self.device, progress=False, checkpoint=checkpoint, **item.options)
+        writers: dict[str, Writer] = {item.outputs["field"]: field.save}
+        refined = field.refined_cameras if isinstance(field, VoxelField) else None
+        if refined is not None and "cameras" in item.outputs:
+            writers[item.outputs["cameras"]] = refined.save
+        return MadeItem(writers)
+
+    def _read(self, item: FitItem) -> Scene:
+        words = item.split, item.downscale, item.format, item.background, item.masks, item.straighten
+        key = item.scene, item.cameras, repr(words), self.fingerprints.of_inputs(item)
+
+        def load() -> Scene:
+            self.read_count += 1
+            orient = "up" if item.straighten else None
+            return _scene(item, self.references, item.background, orient=orient)
+
+        return self.scenes.get(key, load)
+
+
+def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFields) -> MadeItem:
+    """Compare a field with pictures of a scene, as `warpcage evaluate` does; what is made writes the report."""
+    key, field = fields.get(item.field, item.scene_scale)
+    background = field.background if item.background is None else item.background
+    scene, given = in_world_of(field, _scene(item, references, background)), None
+    if item.tune_cameras:
+        if not isinstance(field, VoxelField):
+            raise InputError(f"'tune_cameras' is for fields of voxels (.npz), {item.field!r} is of splats")
+        scene = tuned_scene(field, scene)
+    elif refined_cameras_of(field) is not None and not item.given_cameras:
+        scene, given = moved_scene(field, scene), scene
+    found = evaluation_report(field, scene, given=given)
+    warn_of_mismatch(field, scene)
+    fields.kept.settle(key)
+    content = {
+        "field": item.field,
+        "scene": item.scene,
+        "split": item.split,
+        "downscale": item.downscale,
+        "tuned_cameras": item.tune_cameras,
+        **found.to_json(),
+    }
+    text = json.dumps(content, indent=2) + "\n"
+    return MadeItem({item.outputs["report"]: lambda path: path.write_bytes(text.encode())})
+
+
+class Worker:
+    """Makes items. One thread at a time may use it.
+    memory: bytes of fields, and deformers beside them; those in use stay in any case; None is half of what is free."""
+
+    def __init__(
+        self,
+        base: str | os.PathLike[str],
+        out: str | os.PathLike[str],
+        device: wp.DeviceLike = None,
+        *,
+        memory: int | None = None,
+        encoders: int | None = None,  # threads that encode beside rendering; None is one a CPU thread, 16 at most
+    ):
+        self.out, self.device = pathlib.Path(out), resolve_device(device)
+        self.references = References(base)
+        half = None if memory is None else memory // 2
+        self.fields = LoadedFields(self.references, self.device, half)
+        self.frames = FrameMaker(self.references, self.fields, half)
+        self._fingerprints = Fingerprints(self.references.base, self.out)
+        self.fits = FitMaker(self.references, self._fingerprints, self.device)
+        threads = min(TASK_THREADS, cpu_threads()) if encoders is None else encoders
+        self._pool = ThreadPoolExecutor(threads, "warpcage-outputs")
+        self._gate = Gate(threads + SPARE)
+
+    def __enter__(self) -> Worker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Finish what is being written, and let go of all that is loaded."""
+        self._pool.shutdown()
+        self.forget()
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes that all takes that is loaded."""
+        return self.fields.kept.held_bytes + self.frames.kept.held_bytes
+
+    def forget(self, *, scenes: bool = True) -> None:
+        """Let go of all that is loaded, or of all but the scenes of fits."""
+        if scenes:
+            self.fits.scenes.clear()
+        self.frames.kept.clear()
+        self.fields.kept.clear()
+        gc.collect()
+
+    def run(self, item: Item, out: str | os.PathLike[str] | None = None) -> dict[str, int]:
+        """Make an item; returns the bytes of its outputs, by their paths. out: their folder; None is that of the
+        worker."""
+        return self.submit(item, out).result()
+
+    def submit(self, item: Item, out: str | os.PathLike[str] | None = None) -> Future[dict[str, int]]:
+        """Make an item; its outputs are encoded and written in another thread, while the next item is rendered.
+        Becomes the bytes of its outputs by their paths once they are in their places, or its error."""
+        try:
+            made = self._made(item)
+        except Exception as error:
+            failed: Future[dict[str, int]] = Future()
+            failed.set_exception(error)
+            return failed
+        folder = self.out if out is None else pathlib.Path(out)
+        self._gate.enter(made.held_bytes)  # waits while there are two more than threads, or ROOM bytes of pictures
+        return self._pool.submit(self._write, made, folder)
+
+    def _write(self, made: MadeItem, folder: pathlib.Path) -> dict[str, int]:
+        """Write the outputs of an item, in a thread of the pool."""
+        try:
+            return write_outputs(made.writers, folder, self.out / PARTS)
+        finally:
+            self._gate.leave(made.held_bytes)
+
+    def _made(self, item: Item) -> MadeItem:
+        """Make an item; where memory is short, once more with nothing else loaded."""
+        try:
+            return self._made_once(item)
+        except Exception as error:
+            if not is_shortage(error) or not self.held_bytes:
+                raise
+        self.forget()
+        return self._made_once(item)
+
+    def _made_once(self, item: Item) -> MadeItem:
+        if isinstance(item, FitItem):
+            self.forget(scenes=False)  # a fit plans with the memory that is free
+            return self.fits.make(item, self.checkpoint_path(item))
+        self.fits.scenes.clear()  # its pictures are for fits alone
+        if isinstance(item, FrameItem):
+            return self.frames.make(item)
+        if isinstance(item, EvaluateItem):
+            return make_evaluation(item, self.references, self.fields)
+        raise InputError(f"a worker makes no {type(item).__name__}")
+
+    def checkpoint_path(self, item: FitItem) -> pathlib.Path:
+        """Where the progress of a fit is kept: another place for other inputs, and for another version."""
+        name = digest([self._fingerprints.of(item), __version__])
+        return self.out / CHECKPOINTS / f"{name}.npz"
