@@ -7,35 +7,31 @@ Each name is loaded when it is first used (PEP 562, SPEC 1), so that `import war
 tells type checkers what the names are.
 """
 
-from .package import find_kernels, lazy_exports, require_dependencies
+from .package import find_kernels, find_moved, lazy_exports, require_dependencies
 
 require_dependencies()
 find_kernels(__name__)
+find_moved()
 
 __version__ = "0.2.0"
 
 #: Public names by the modules that they come from.
 _HOMES = {
-    "batch.run": ["RunReport", "run_jobs"],
     "cage.cage": ["Cage"],
     "cage.check": ["CageReport"],
     "cage.pose_file": ["PoseFile"],
     "cage.random_poses": ["RandomPoses"],
-    "captures.capture": ["capture"],
-    "captures.report": ["CaptureReport"],
     "coordinates.coordinates": ["deform_points", "green_coordinates", "harmonic_coordinates", "mean_value_coordinates"],
     "deform.bake": ["bake"],
     "deform.deformer": ["Deformer", "SplatDeformer"],
     "deform.fill": ["fill_unseen"],
     "deform.stage": ["Stage"],
-    "editor.edit": ["edit"],
     "edits.edits": ["CageEdit"],
     "edits.place": ["Place", "PlaceFile"],
     "errors": ["Cancelled", "Error"],
     "field.objects": ["select_object"],
     "field.selection": ["NodeSelection", "select_nodes"],
     "field.voxel_field": ["VoxelField"],
-    "films.film": ["render_film"],
     "fitting.evaluation": ["evaluate", "mean_psnr", "psnr"],
     "fitting.fit": ["fit"],
     "fitting.optimizer": ["FieldOptimizer"],
@@ -50,14 +46,19 @@ _HOMES = {
     "scene.scene": ["Scene"],
     "splats.fit": ["SplatRates", "fit_splats"],
     "splats.splat_field": ["SplatField"],
+    "studio.captures.capture": ["capture"],
+    "studio.captures.report": ["CaptureReport"],
+    "studio.editor.edit": ["edit"],
+    "studio.films.film": ["render_film"],
+    "studio.jobs.run": ["RunReport", "run_jobs"],
     "view.camera": ["Camera", "CameraFile", "CameraKey", "turntable"],
     "view.camera_path": ["camera_at"],
     "view.frame": ["Frame", "Frames"],
 }
 
 _ROOMS = (
-    "batch cage captures cli coordinates core deform editor edits examples field films "
-    "fitting kernels lattice mesh reference render scene splats view"
+    "cage coordinates core deform edits examples field fitting kernels lattice mesh reference render scene splats "
+    "studio view"
 ).split()
 
 __getattr__, __dir__, __all__ = lazy_exports(__name__, _HOMES, _ROOMS)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -1,13 +1,9 @@
 """The public names, for type checkers and editors: `__init__.py` loads each when it is first used."""
 
-from .batch.run import RunReport as RunReport
-from .batch.run import run_jobs as run_jobs
 from .cage.cage import Cage as Cage
 from .cage.check import CageReport as CageReport
 from .cage.pose_file import PoseFile as PoseFile
 from .cage.random_poses import RandomPoses as RandomPoses
-from .captures.capture import capture as capture
-from .captures.report import CaptureReport as CaptureReport
 from .coordinates.coordinates import deform_points as deform_points
 from .coordinates.coordinates import green_coordinates as green_coordinates
 from .coordinates.coordinates import harmonic_coordinates as harmonic_coordinates
@@ -17,7 +13,6 @@ from .deform.deformer import Deformer as Deformer
 from .deform.deformer import SplatDeformer as SplatDeformer
 from .deform.fill import fill_unseen as fill_unseen
 from .deform.stage import Stage as Stage
-from .editor.edit import edit as edit
 from .edits.edits import CageEdit as CageEdit
 from .edits.place import Place as Place
 from .edits.place import PlaceFile as PlaceFile
@@ -27,7 +22,6 @@ from .field.objects import select_object as select_object
 from .field.selection import NodeSelection as NodeSelection
 from .field.selection import select_nodes as select_nodes
 from .field.voxel_field import VoxelField as VoxelField
-from .films.film import render_film as render_film
 from .fitting.evaluation import evaluate as evaluate
 from .fitting.evaluation import mean_psnr as mean_psnr
 from .fitting.evaluation import psnr as psnr
@@ -45,6 +39,12 @@ from .scene.scene import Scene as Scene
 from .splats.fit import SplatRates as SplatRates
 from .splats.fit import fit_splats as fit_splats
 from .splats.splat_field import SplatField as SplatField
+from .studio.captures.capture import capture as capture
+from .studio.captures.report import CaptureReport as CaptureReport
+from .studio.editor.edit import edit as edit
+from .studio.films.film import render_film as render_film
+from .studio.jobs.run import RunReport as RunReport
+from .studio.jobs.run import run_jobs as run_jobs
 from .view.camera import Camera as Camera
 from .view.camera import CameraFile as CameraFile
 from .view.camera import CameraKey as CameraKey

@@ -6,12 +6,29 @@ from __future__ import annotations
 import os.path
 import sys
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from importlib.machinery import ModuleSpec
+    from types import CodeType, ModuleType
+    from typing import Any
+
 #: Modules that the package's own modules import at once, and the names under which they are installed. The other
 #: dependencies are imported where they are used.
 NEEDED = {"numpy": "numpy", "warp": "warp-lang", "imageio": "imageio"}
 
 #: Whether this is the package, and not a part of it that `warpcage kernels copy` has put into somebody's.
 IS_WHOLE = __name__ == "warpcage.package"
+
+#: Packages and modules that moved, by the names that they had up to version 0.2.
+MOVED = {
+    "warpcage.batch": "warpcage.studio.jobs",
+    "warpcage.cage.motion": "warpcage.cage.pose_file",
+    "warpcage.captures": "warpcage.studio.captures",
+    "warpcage.cli": "warpcage.studio.cli",
+    "warpcage.editor": "warpcage.studio.editor",
+    "warpcage.films": "warpcage.studio.films",
+}
 
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 
@@ -52,6 +69,49 @@ def find_kernels(package: str) -> None:
     vars(sys.modules[package])["kernels"] = module  # as the import system does for modules that it finds itself
 
 
+class _Moved:
+    """Finds and loads a module that moved by its old name: the module itself, with a warning."""
+
+    def __init__(self, spec: ModuleSpec | None = None):
+        self.spec = spec  # of the module where it is now
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None, /
+    ) -> ModuleSpec | None:
+        old = next((old for old in MOVED if name == old or name.startswith(f"{old}.")), None)
+        if old is None:
+            return None
+        import warnings
+        from importlib import util
+
+        new = MOVED[old] + name[len(old) :]
+        spec = util.find_spec(new)
+        if spec is None:
+            return None
+        warnings.warn(f"{name} is {new} now; the old name goes with warpcage 0.4", FutureWarning, stacklevel=2)
+        loader: Any = _Moved(spec)
+        return util.spec_from_loader(name, loader, is_package=spec.submodule_search_locations is not None)
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        from importlib import import_module
+
+        assert self.spec
+        return import_module(self.spec.name)
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__spec__ = self.spec  # the import system put the old name there
+
+    def get_code(self, name: str) -> CodeType | None:
+        """For `python -m` with an old name."""
+        loader: Any = self.spec and self.spec.loader
+        return loader.get_code(self.spec and self.spec.name)
+
+
+def find_moved() -> None:
+    """Make modules that moved importable by their old names."""
+    sys.meta_path.insert(0, _Moved())  # before the finder of paths, which would load files of a moved package again
+
+
 def _is_copied(package: str, module: str) -> bool:
     """Whether a copy has a module of one of its packages."""
     base = os.path.join(os.path.dirname(str(sys.modules[package].__file__)), *module.split("."))
@@ -67,7 +127,7 @@ def lazy_exports(package: str, homes: dict, rooms: list | tuple = ()) -> tuple:
             modules |= dict.fromkeys(names.split() if isinstance(names, str) else names, module)
 
     def load(name: str) -> object:
-        if name not in modules and name not in rooms:
+        if name not in modules and name not in rooms and f"{package}.{name}" not in MOVED:
             raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name)
         from importlib import import_module
 

@@ -336,7 +336,10 @@ def test_workers_that_cannot_start_end_the_run_in_one_line(address, tmp_path):
 @RAY_AT_NIGHT
 def test_an_interrupt_keeps_what_is_made(address, job, whole, tmp_path):
     out = tmp_path / "out"
-    program = "import signal, sys\nfrom warpcage.studio.cli import main\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
+    program = (
+        "import signal, sys\nfrom warpcage.studio.cli import main\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)"
+    )
     words = words_of(address, job, out)
     line = [sys.executable, "-c", f"{program}\nsys.exit(main(sys.argv[1:]))", *words]
     driver = subprocess.Popen(line, stderr=subprocess.PIPE, text=True)

@@ -142,7 +142,7 @@ def test_a_wheel_holds_every_file_once(wheel):
     expected += [f"warpcage/{path.relative_to(ROOT).as_posix()}" for path in kernels]
     examples = [path for pattern in ("*.py", "clusters/*.*") for path in (ROOT / "examples").glob(pattern)]
     expected += [f"warpcage/{path.relative_to(ROOT).as_posix()}" for path in examples]
-    page = sorted((ROOT / "warpcage" / "editor" / "page").rglob("*.*"))
+    page = sorted((ROOT / "warpcage" / "studio" / "editor" / "page").rglob("*.*"))
     assert {path.suffix for path in page} == {".html", ".css", ".js", ".svg"}
     expected += [path.relative_to(ROOT).as_posix() for path in page]
     assert sorted(wheel.files) == sorted(expected)

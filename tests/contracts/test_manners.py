@@ -81,9 +81,7 @@ def test_names_behave_as_if_they_were_imported():
 # Interrupts and signals
 
 
-@pytest.mark.parametrize(
-    "module", ["warpcage.studio.cli.arguments", "warpcage.studio.cli.arguments.scenes", "numpy", "warp"]
-)
+@pytest.mark.parametrize("module", ["warpcage.studio.cli.arguments", "numpy", "warp"])
 def test_an_interrupt_while_the_program_starts_leaves_no_traceback(module):
     done = child(
         """

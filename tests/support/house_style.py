@@ -17,6 +17,7 @@ import pathlib
 import re
 import sys
 import textwrap
+import warnings
 
 import golden_names
 from messages import MESSAGES
@@ -25,7 +26,7 @@ import warpcage
 from warpcage import errors
 from warpcage.core import COORDINATES
 from warpcage.mesh import mesh_formats
-from warpcage.package import NEEDED
+from warpcage.package import MOVED, NEEDED
 from warpcage.scene import scene_formats
 from warpcage.splats import splat_formats
 
@@ -327,17 +328,17 @@ def tables_of_formats_are_whole():
 
 #: The paths that users copy from examples and docs: these do not move. A capital begins a class; others are functions.
 FIXED = """
-batch.items: EvaluateItem FitItem FrameItem Item; batch.job_file: JobFile write_jobs; batch.run: run_jobs;
-batch.sweeps: GivenSource RandomSource write_sweep; batch.webdataset: read_shard shard_path; batch.worker: Worker;
-cage.pose_file: gltf_poses; cage.snap: snap_to_gaps; cage.walls: cut_faces; cli: main; core.devices: launch
-resolve_device; core.files: atomic_path; core.names: meant; core.locks: device_turn; core.threads: cpu_threads
-limit_threads; editor.demo: demo_files; field.planes: Plane find_planes; fitting.evaluation: evaluate mean_psnr; mesh:
-MeshFormat write_shown_mesh; reference.brick_scene: write_brick_scene; reference.bricks: brick_model;
-reference.cage_scenes: CAGE_SCENES scene_field; reference.raycast: render_mesh_views; reference.viewpoints:
-reference_cameras spread_eyes; scene: SceneFormat View held_out make_scene; splats: SplatContents SplatFormat;
-view.camera: Camera framing_orbit; view.exr: write_exr; view.film: write_film write_gif write_video; view.frame_parts:
-mask_picture; view.motion: pose_weights; view.opacity: rgba_picture; view.overlay: draw_cage; view.pictures:
-color_disparity contact_sheet disparity_range read_image to_uint8 write_png
+cage.pose_file: gltf_poses; cage.snap: snap_to_gaps; cage.walls: cut_faces; core.devices: launch resolve_device;
+core.files: atomic_path; core.locks: device_turn; core.names: meant; core.threads: cpu_threads limit_threads;
+field.planes: Plane find_planes; fitting.evaluation: evaluate mean_psnr; mesh: MeshFormat write_shown_mesh;
+reference.brick_scene: write_brick_scene; reference.bricks: brick_model; reference.cage_scenes: CAGE_SCENES scene_field;
+reference.raycast: render_mesh_views; reference.viewpoints: reference_cameras spread_eyes; scene: SceneFormat View
+held_out make_scene; splats: SplatContents SplatFormat; studio.cli: main; studio.editor.demo: demo_files;
+studio.jobs.items: EvaluateItem FitItem FrameItem Item; studio.jobs.job_file: JobFile write_jobs; studio.jobs.run:
+run_jobs; studio.jobs.sweeps: GivenSource RandomSource write_sweep; studio.jobs.webdataset: read_shard shard_path;
+studio.jobs.worker: Worker; view.camera: Camera framing_orbit; view.exr: write_exr; view.film: write_film write_gif
+write_video; view.frame_parts: mask_picture; view.motion: pose_weights; view.opacity: rgba_picture; view.overlay:
+draw_cage; view.pictures: color_disparity contact_sheet disparity_range read_image to_uint8 write_png
 """
 FIXED = {
     f"warpcage.{module}": names.split()
@@ -358,9 +359,23 @@ def paths_that_users_know_stay():
             meant = "dict" if name.isupper() else "class" if name[0].isupper() else "function"
             if kind_of(thing) != meant or (name in warpcage.__all__ and thing is not getattr(warpcage, name)):
                 yield f"{module}.{name}"
-    for name in ("warpcage.__main__", "warpcage.studio.cli.__main__"):  # the program starts by both names
+    for name in ("warpcage.__main__", "warpcage.cli.__main__"):  # the program starts by both names
         if importlib.util.find_spec(name) is None:
             yield name
+
+
+@rule
+def paths_that_moved_are_found_with_a_warning():
+    """A module is the same one by its old name, and so are those in it."""
+    for old, new in MOVED.items():
+        for module in [new, *(each for each in FIXED if each.startswith(f"{new}."))]:
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("always")
+                sys.modules.pop(old + module[len(new) :], None)
+                found = importlib.import_module(old + module[len(new) :])
+            told = any(f"is {module} now" in str(each.message) for each in said)
+            if found is not importlib.import_module(module) or not told:
+                yield old
 
 
 def copied_texts():
@@ -524,9 +539,9 @@ def help_is_what_it_was():
 #: what a package says that is not whole.
 MADE = {
     "package.py": {"AttributeError", "ImportError"},
-    "captures/colmap.py": {"InterruptedError"},
-    "batch/films.py": {"InterruptedError"},
-    "batch/manifest.py": {"OSError"},  # for `file_error`
+    "studio/captures/colmap.py": {"InterruptedError"},
+    "studio/jobs/films.py": {"InterruptedError"},
+    "studio/jobs/manifest.py": {"OSError"},  # for `file_error`
 }
 
 

@@ -157,7 +157,7 @@ class Modules:
 @contextmanager
 def page_files() -> Iterator[str]:
     """Serves the page's files, and an empty page at `/`; gives the address."""
-    folder = Path(warpcage.__file__).parent / "editor" / "page"
+    folder = Path(warpcage.__file__).parent / "studio" / "editor" / "page"
 
     class Handler(SimpleHTTPRequestHandler):
         def __init__(self, *args: Any) -> None:

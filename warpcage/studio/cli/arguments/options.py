@@ -487,7 +487,7 @@ def _settings(value: Any, metavars: list[str], name: str) -> dict[str, Any]:
 
 
 class Command(NamedTuple):
-    """A command as the parser knows it; `module` of warpcage.studio.cli has run_NAME(args), loaded when it is chosen."""
+    """A command as the parser knows it; `module` of `studio.cli` has run_NAME(args), loaded when it is chosen."""
 
     help: str  # one line
     example: str
