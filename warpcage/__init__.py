@@ -29,8 +29,6 @@ _HOMES = {
     "edits.edits": ["CageEdit"],
     "edits.place": ["Place", "PlaceFile"],
     "errors": ["Cancelled", "Error"],
-    "field.objects": ["select_object"],
-    "field.selection": ["NodeSelection", "select_nodes"],
     "field.voxel_field": ["VoxelField"],
     "fitting.evaluation": ["evaluate", "mean_psnr", "psnr"],
     "fitting.fit": ["fit"],
@@ -44,6 +42,8 @@ _HOMES = {
     "render.surface_mesh": ["SurfaceMesh"],
     "scene.load": ["load_scene"],
     "scene.scene": ["Scene"],
+    "select.objects": ["select_object"],
+    "select.selection": ["NodeSelection", "select_nodes"],
     "splats.fit": ["SplatRates", "fit_splats"],
     "splats.splat_field": ["SplatField"],
     "studio.captures.capture": ["capture"],
@@ -57,8 +57,8 @@ _HOMES = {
 }
 
 _ROOMS = (
-    "cage coordinates core deform edits examples field fitting kernels lattice mesh reference render scene splats "
-    "studio view"
+    "cage coordinates core deform edits examples field fitting kernels lattice mesh reference render scene select "
+    "splats studio view"
 ).split()
 
 __getattr__, __dir__, __all__ = lazy_exports(__name__, _HOMES, _ROOMS)  # pyright: ignore[reportUnsupportedDunderAll]

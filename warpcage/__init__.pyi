@@ -18,9 +18,6 @@ from .edits.place import Place as Place
 from .edits.place import PlaceFile as PlaceFile
 from .errors import Cancelled as Cancelled
 from .errors import Error as Error
-from .field.objects import select_object as select_object
-from .field.selection import NodeSelection as NodeSelection
-from .field.selection import select_nodes as select_nodes
 from .field.voxel_field import VoxelField as VoxelField
 from .fitting.evaluation import evaluate as evaluate
 from .fitting.evaluation import mean_psnr as mean_psnr
@@ -36,6 +33,9 @@ from .render.sampled import SampledField as SampledField
 from .render.surface_mesh import SurfaceMesh as SurfaceMesh
 from .scene.load import load_scene as load_scene
 from .scene.scene import Scene as Scene
+from .select.objects import select_object as select_object
+from .select.selection import NodeSelection as NodeSelection
+from .select.selection import select_nodes as select_nodes
 from .splats.fit import SplatRates as SplatRates
 from .splats.fit import fit_splats as fit_splats
 from .splats.splat_field import SplatField as SplatField

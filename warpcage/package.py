@@ -27,6 +27,10 @@ MOVED = {
     "warpcage.captures": "warpcage.studio.captures",
     "warpcage.cli": "warpcage.studio.cli",
     "warpcage.editor": "warpcage.studio.editor",
+    "warpcage.field.clean": "warpcage.select.clean",
+    "warpcage.field.objects": "warpcage.select.objects",
+    "warpcage.field.planes": "warpcage.select.planes",
+    "warpcage.field.selection": "warpcage.select.selection",
     "warpcage.films": "warpcage.studio.films",
 }
 

@@ -10,7 +10,7 @@ from refusals import refused
 from warpcage import Cage
 from warpcage.cage import distance_to
 from warpcage.cage.generate.shell import decimated
-from warpcage.field import visible_nodes
+from warpcage.select import visible_nodes
 
 
 def winding(points, vertices, faces):

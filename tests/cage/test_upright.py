@@ -13,7 +13,7 @@ from runs import run, succeed
 
 from warpcage import Cage, VoxelField, select_nodes
 from warpcage.cage import restood, standing_of_rest
-from warpcage.field import some_visible_nodes, visible_nodes
+from warpcage.select import some_visible_nodes, visible_nodes
 from warpcage.view import read_image
 
 VIEW = ("--size", "40", "--coordinates", "mean_value", "--resolution", "24", "--eye", 0, -5, 1, "--target", 0, 0, 0)
@@ -258,6 +258,6 @@ def test_a_sample_of_visible_nodes_spreads_over_all(monkeypatch):
     assert len(some) == 500 and np.isin(some.round(6), every.round(6)).all()
     np.testing.assert_allclose(some.mean(axis=0), every.mean(axis=0), atol=0.06)
     np.testing.assert_array_equal(some, some_visible_nodes(post(), 500))
-    monkeypatch.setattr("warpcage.field.selection.SAMPLED_SIDE", 8)  # every fourth node along each axis
+    monkeypatch.setattr("warpcage.select.selection.SAMPLED_SIDE", 8)  # every fourth node along each axis
     coarse = some_visible_nodes(post())
     assert 0.5 < 64 * len(coarse) / len(every) < 2.0

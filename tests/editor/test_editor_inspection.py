@@ -6,7 +6,7 @@ from fields import BOX, ellipsoid, make_field, plain
 
 from warpcage import Cage
 from warpcage.cage import check_pose
-from warpcage.field import visible_nodes
+from warpcage.select import visible_nodes
 from warpcage.studio.editor import (
     Document,
     Inspector,

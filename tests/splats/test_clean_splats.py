@@ -8,7 +8,7 @@ from refusals import refused
 from splat_scenes import CUP, FLOATER, TABLE, joined, one_splat, place, place_camera
 
 from warpcage import Cage, NodeSelection, SplatField
-from warpcage.field import CleanOptions
+from warpcage.select import CleanOptions
 from warpcage.splats import clean_splats
 from warpcage.splats.clean import views_of_splats
 from warpcage.studio.cli import main

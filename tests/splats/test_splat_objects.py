@@ -20,7 +20,7 @@ from splat_scenes import (
 )
 
 from warpcage import Cage, Camera, Deformer, NodeSelection, SplatField, bake, select_nodes, select_object
-from warpcage.field import pick_point
+from warpcage.select import pick_point
 
 #: Height up to which the cup stays with the table that it stands on: two cells and what the table is rough.
 FOOT = 0.03

@@ -330,7 +330,7 @@ def tables_of_formats_are_whole():
 FIXED = """
 cage.pose_file: gltf_poses; cage.snap: snap_to_gaps; cage.walls: cut_faces; core.devices: launch resolve_device;
 core.files: atomic_path; core.locks: device_turn; core.names: meant; core.threads: cpu_threads limit_threads;
-field.planes: Plane find_planes; fitting.evaluation: evaluate mean_psnr; mesh: MeshFormat write_shown_mesh;
+select.planes: Plane find_planes; fitting.evaluation: evaluate mean_psnr; mesh: MeshFormat write_shown_mesh;
 reference.brick_scene: write_brick_scene; reference.bricks: brick_model; reference.cage_scenes: CAGE_SCENES scene_field;
 reference.raycast: render_mesh_views; reference.viewpoints: reference_cameras spread_eyes; scene: SceneFormat View
 held_out make_scene; splats: SplatContents SplatFormat; studio.cli: main; studio.editor.demo: demo_files;

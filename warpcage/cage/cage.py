@@ -14,13 +14,13 @@ from ..core.checks import device_by_name, renamed, warn_caller
 from ..core.files import PathLike
 from ..core.reports import Progress, hears
 from ..errors import InputError
-from ..field.selection import NodeSelection
 from ..field.voxel_field import VoxelField
 from ..mesh.io import write_mesh
 from ..mesh.match import matched_vertices
 from ..mesh.mesh import TriangleMesh, require_mesh
 from ..mesh.queries import inside_mesh
 from ..mesh.validity import require_usable
+from ..select.selection import NodeSelection
 from ..splats.splat_field import SplatField
 from .check import CageReport, check_cage
 from .generate import cage_around_field, cage_around_mesh, simplified

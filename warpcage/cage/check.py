@@ -10,12 +10,12 @@ import numpy as np
 
 from ..coordinates.coordinates import deform_points
 from ..errors import InputError
-from ..field.selection import NodeSelection, visible_nodes
 from ..field.voxel_field import VoxelField
 from ..mesh.match import matched_vertices
 from ..mesh.mesh import ClosedMesh, TriangleMesh, require_mesh
 from ..mesh.queries import inside_mesh, intersecting_faces
 from ..mesh.validity import coincident_vertices, degenerate_faces, first_problem, inward_parts
+from ..select.selection import NodeSelection, visible_nodes
 from ..splats.splat_field import SplatField
 from .up_axis import other_standing
 

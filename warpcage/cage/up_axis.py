@@ -11,12 +11,12 @@ import numpy as np
 
 from ..core.files import PathLike
 from ..errors import InputError
-from ..field.selection import some_visible_nodes
 from ..mesh.io import UPS, file_up, read_object, turned_up
 from ..mesh.match import matched_vertices
 from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import inside_mesh
 from ..mesh.validity import first_problem
+from ..select.selection import some_visible_nodes
 
 Mesh = TypeVar("Mesh", bound=ClosedMesh)
 

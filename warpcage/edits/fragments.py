@@ -12,7 +12,6 @@ from ..core.arrays import empty_array, local_points
 from ..core.checks import warn_caller
 from ..core.devices import launch
 from ..core.memory import require_memory
-from ..field.selection import visible_rows
 from ..field.voxel_field import VoxelField
 from ..kernels.edits import extension
 from ..kernels.edits.structs import FragmentCells
@@ -20,6 +19,7 @@ from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh.triangle import Walls
 from ..lattice.buffers import BufferPool
 from ..mesh.mesh import prepared_fans
+from ..select.selection import visible_rows
 from .edits import CageEdit
 from .falloff import has_sides
 

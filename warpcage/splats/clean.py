@@ -9,9 +9,9 @@ import warp as wp
 
 from ..core.locks import device_turn
 from ..core.names import counted
-from ..field.clean import Cleaned, CleanOptions, detached_nodes, require_left, small_cameras, unshown, went
 from ..field.io.field_file import Y0
-from ..field.selection import visible_mask
+from ..select.clean import Cleaned, CleanOptions, detached_nodes, require_left, small_cameras, unshown, went
+from ..select.selection import visible_mask
 from ..view.camera import Camera
 from .fit import SplatGradients, SplatParameters
 from .io.contents import LEAST_OPACITY

@@ -9,12 +9,12 @@ import numpy as np
 from ...core.checks import checked_margin
 from ...core.reports import tell
 from ...errors import InputError
-from ...field.planes import Plane
-from ...field.selection import visible_nodes
 from ...field.surface import require_field
 from ...mesh.mesh import ClosedMesh
 from ...mesh.queries import inside_mesh, intersecting_faces
 from ...mesh.validity import first_problem, require_usable
+from ...select.planes import Plane
+from ...select.selection import visible_nodes
 from .decimate import progressive_hull
 from .fit import cleared, face_samples, row_sums
 from .shell import ObjectShell, decimated, flaw, shell_cage

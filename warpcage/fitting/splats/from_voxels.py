@@ -8,9 +8,9 @@ import numpy as np
 
 from ...core.checks import checked_whole, require_type
 from ...errors import InputError
-from ...field.selection import visible_rows
 from ...field.sparse import harmonics_on_host
 from ...field.voxel_field import VoxelField
+from ...select.selection import visible_rows
 from ...splats.io.contents import LEAST_OPACITY
 from ...splats.splat_field import SplatField
 from ..options import checked_seed

@@ -27,12 +27,12 @@ from ...core.checks import checked_bounds
 from ...core.files import require_file, seen_note
 from ...core.names import counted
 from ...errors import InputError
-from ...field.objects import is_splats, matter_around
-from ...field.selection import NodeSelection, select_nodes
 from ...field.surface import extract_mesh
 from ...mesh.io import ALL_OBJECTS, read_object
 from ...mesh.io.formats import mesh_endings
 from ...render.surface_file import load_trimesh
+from ...select.objects import is_splats, matter_around
+from ...select.selection import NodeSelection, select_nodes
 from ...splats.io import splat_path
 from ...splats.splat_field import load_field
 from ...view.camera import CameraKey

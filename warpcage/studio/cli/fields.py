@@ -20,16 +20,16 @@ from ...deform.deformer import SplatDeformer
 from ...deform.stage import Stage
 from ...edits.maps import carried_points
 from ...errors import InputError
-from ...field.clean import CleanOptions, clean_voxels
 from ...field.io import VOLUME_ENDINGS
-from ...field.objects import select_object
-from ...field.selection import NodeSelection, painted_voxels, splat_matter, tinted
 from ...field.surface import color_vertices
 from ...field.texture import simplified, textured
 from ...field.voxel_field import VoxelField
 from ...fitting.splats.from_voxels import to_splats
 from ...mesh.io import write_shown_mesh
 from ...mesh.io.ply import write_ply
+from ...select.clean import CleanOptions, clean_voxels
+from ...select.objects import select_object
+from ...select.selection import NodeSelection, painted_voxels, splat_matter, tinted
 from ...splats.clean import clean_splats
 from ...splats.io import is_splat_file, splat_path
 from ...splats.splat_field import AnyField, SplatField

@@ -16,11 +16,11 @@ import numpy as np
 from ...cage.cage import Cage
 from ...cage.check import outside_text, percent_text, sample_pose
 from ...core.names import error_line
-from ...field.selection import visible_mask
 from ...mesh.faces import column_cross, column_dot, face_edges
 from ...mesh.queries import inside_mesh, intersecting_faces
 from ...mesh.validity import first_problem
 from ...render.surface_mesh import AnyThing, SurfaceMesh
+from ...select.selection import visible_mask
 from .checks import MAX_LINE
 from .document import Document, Edit
 from .session import Session

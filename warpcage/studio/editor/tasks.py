@@ -25,9 +25,9 @@ from ...cage.up_axis import UpAxis, load_standing
 from ...core.files import atomic_path
 from ...core.names import counted, error_line
 from ...errors import InputError
-from ...field.selection import NodeSelection, visible_mask
 from ...mesh.io import ENDINGS
 from ...render.surface_mesh import SurfaceMesh
+from ...select.selection import NodeSelection, visible_mask
 from ...splats.io import SPLAT_ENDINGS
 from ...splats.splat_field import field_size
 from . import commands, exports, timeline

@@ -20,10 +20,10 @@ from ...edits.edits import CageEdit
 from ...edits.place import Place, PlaceFile, near_turn, seen_from
 from ...edits.stage_file import STAGE_ENDING, free_name, read_deformation, read_stage_file
 from ...errors import InputError
-from ...field.objects import select_object
-from ...field.selection import NodeSelection
 from ...render.surface_file import SURFACE_ENDINGS
 from ...render.surface_mesh import AnyThing, SurfaceMesh, is_mesh_file, load_thing
+from ...select.objects import select_object
+from ...select.selection import NodeSelection
 from ...splats.io import is_splat_file
 from ...splats.splat_field import AnyField
 from ...view.motion import axis_rotation

@@ -19,8 +19,8 @@ from ...deform.stage import Stage
 from ...edits.edits import CageEdit
 from ...edits.place import PlaceFile
 from ...errors import InputError
-from ...field.io.selection_file import SELECTION_ENDINGS
-from ...field.selection import NodeSelection
+from ...select.selection import NodeSelection
+from ...select.selection_file import SELECTION_ENDINGS
 from ...splats.splat_field import AnyField, SplatField
 from ...view.camera import Camera, CameraKey
 from ...view.camera_path import MovingCamera, camera_at, path_cameras

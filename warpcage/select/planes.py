@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..core.checks import checked_number, checked_positive, checked_vector, checked_whole
 from ..core.names import PLANES, require_name
 from ..errors import InputError
-from .surface import DensityField, node_grid, surface_density
+from ..field.surface import DensityField, node_grid, surface_density
 
 #: Points that a plane is guessed from and tried on at most; all of them take part in its final fit.
 _TRIED_POINTS = 20_000

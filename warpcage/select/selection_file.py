@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import checked_path
-from ...core.files import DAMAGED, PathLike, atomic_path, damage, not_a, read_json, read_npz, require_file
-from ...errors import InputError
+from ..core.checks import checked_path
+from ..core.files import DAMAGED, PathLike, atomic_path, damage, not_a, read_json, read_npz, require_file
+from ..errors import InputError
 
 #: How selection files end.
 SELECTION_ENDINGS = (".npz", ".json")

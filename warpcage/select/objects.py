@@ -13,15 +13,15 @@ from ..core.checks import checked_bounds, checked_number, checked_vector, requir
 from ..core.names import PLANES, require_name
 from ..core.reports import Progress, hears, tell
 from ..errors import InputError
+from ..field.surface import DensityField, node_grid, surface_density
+from ..field.surroundings import OuterField
 from ..mesh.mesh import ClosedMesh
 from ..view.camera import Camera
 from .planes import Plane, find_planes, plane_below, plane_through
 from .selection import SEED_VOXELS, NodeSelection, _centers, root_field, select_nodes
-from .surface import DensityField, node_grid, surface_density
-from .surroundings import OuterField
 
 if TYPE_CHECKING:
-    from .voxel_field import VoxelField
+    from ..field.voxel_field import VoxelField
 
 
 #: Cells along the longest side of a grid, at most and at least.

@@ -14,13 +14,13 @@ from ..core.devices import launch
 from ..core.locks import device_turn
 from ..core.names import counted
 from ..errors import InputError
+from ..field.render import STOP_TRANSMITTANCE
+from ..field.sparse import harmonics_on_host
+from ..field.voxel_field import VoxelField
 from ..kernels.field.march import record_weights
 from ..kernels.view.rays import PinholeCamera
 from ..view.camera import Camera, camera_struct
-from .render import STOP_TRANSMITTANCE
 from .selection import _parts, visible_mask
-from .sparse import harmonics_on_host
-from .voxel_field import VoxelField
 
 #: Connected parts with fewer nodes than this share of the largest are floaters, where they are farther than so many
 #: nodes from what is kept: what is nearer may be a thin piece of it.

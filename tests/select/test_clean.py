@@ -5,8 +5,8 @@ import pytest
 from scenes import FRAGMENT, TableScene
 
 from warpcage import Camera, VoxelField
-from warpcage.field import CleanOptions, clean_voxels
-from warpcage.field.clean import voxel_weights
+from warpcage.select import CleanOptions, clean_voxels
+from warpcage.select.clean import voxel_weights
 from warpcage.studio.cli import main
 
 

@@ -7,7 +7,7 @@ from refusals import refused
 from scenes import FLOOR_TOP, TABLE_TOP, TableScene, tilt
 from scipy.ndimage import gaussian_filter
 
-from warpcage.field import Plane, blocks, find_planes, fit_planes, surface_points, surrounds
+from warpcage.select import Plane, blocks, find_planes, fit_planes, surface_points, surrounds
 
 
 def sheet(random, normal, offset, count, noise, size=1.0):

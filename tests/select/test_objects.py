@@ -11,7 +11,7 @@ from refusals import refused
 from scenes import BALL, FRAGMENT, LAMP, TABLE, TableScene
 
 from warpcage import Cage, Camera, NodeSelection, VoxelField, select_nodes, select_object
-from warpcage.field import Plane, pick_point
+from warpcage.select import Plane, pick_point
 
 VOXEL = 2.0 / 64
 

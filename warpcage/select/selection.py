@@ -21,16 +21,16 @@ from ..core.checks import (
 from ..core.files import PathLike
 from ..core.names import counted
 from ..errors import InputError
+from ..field.io.field_file import Y0
+from ..field.sparse import harmonics_on_host
+from ..field.surface import DensityField, node_grid
+from ..field.voxel_field import VoxelField
 from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import inside_mesh
 from ..view.camera import Camera
 from ..view.frame import Frame
-from .io.field_file import Y0
-from .io.selection_file import SelectionContents, load_selection, occupancy_digest, same_box, save_selection
 from .planes import Plane
-from .sparse import harmonics_on_host
-from .surface import DensityField, node_grid
-from .voxel_field import VoxelField
+from .selection_file import SelectionContents, load_selection, occupancy_digest, same_box, save_selection
 
 #: Optical depth of a voxel that counts as empty.
 RIM_DEPTH = 0.01
@@ -406,7 +406,7 @@ def select_nodes(
     Args:
         field: A VoxelField, a NodeSelection or the like.
         threshold: Density from which a node counts as visible, per world unit. None goes by recorded weights or by
-            opacity, as `warpcage.field.selection.visible_mask` does.
+            opacity, as `warpcage.select.selection.visible_mask` does.
         box: (2, 3) corners of a box around the object, world units. None is no box.
         sphere: (4,) centre and radius of a sphere around the object, world units. None is no sphere.
         cage: A usable Cage around the object. None is no cage.
