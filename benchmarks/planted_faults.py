@@ -103,16 +103,16 @@ FAULTS = [
     # scheduler and manifest
     Fault("one-try-more", "warpcage/studio/jobs/scheduler.py",
           "if charged is not None and self._attempts.get(charged, 0) >= self.retries:",
-          "if charged is not None and self._attempts.get(charged, 0) > self.retries:", "batch"),
+          "if charged is not None and self._attempts.get(charged, 0) > self.retries:", "jobs"),
     Fault("lost-beside-death", "warpcage/studio/jobs/scheduler.py",
-          "self._retries.extend((item, groups[item], \"\") for item in begun[:-1])", "pass", "batch"),
+          "self._retries.extend((item, groups[item], \"\") for item in begun[:-1])", "pass", "jobs"),
     Fault("recalled-for-ever", "warpcage/studio/jobs/scheduler.py",
-          "worker.recalled = False  # what it still holds may be asked for later", "pass", "batch"),
+          "worker.recalled = False  # what it still holds may be asked for later", "pass", "jobs"),
     Fault("retry-at-home", "warpcage/studio/jobs/scheduler.py",
           "elsewhere = failed_at != name or len(self._workers) == 1 or failed_at not in self._workers",
-          "elsewhere = True", "batch"),
+          "elsewhere = True", "jobs"),
     Fault("half-line", "warpcage/studio/jobs/manifest.py",
-          "    if not line.endswith(b\"\\n\"):\n        return None\n", "", "batch"),
+          "    if not line.endswith(b\"\\n\"):\n        return None\n", "", "jobs"),
     Fault("lost-lock", "warpcage/core/locks.py",
           "return threading.RLock() if device.is_cpu else _device_lock(device)",
           "return contextlib.nullcontext() if device.is_cpu else _device_lock(device)", "contracts"),
@@ -171,7 +171,7 @@ def noticed_by(fault: Fault, copy: pathlib.Path) -> str | None:
     right = path.read_text("utf-8")
     path.write_text(right.replace(fault.right, fault.wrong), encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
-    where = [f"tests/{name}" for name in fault.tests.split()]
+    where = [str(next(copy.glob(f"tests/**/{name}/"))) for name in fault.tests.split()]
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-o", f"cache_dir={copy.parent / 'cache'}", *where]
     try:
         done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True)

@@ -6,7 +6,7 @@
 #   opaque; libvpx-vp9, asked for by name, has it
 # Meets: who reads a film of an object without its background back, to composite it or to compare frames
 # Here: .webm with opacity is for browsers (docs/films.md); read it back by libvpx-vp9, as
-#   `tests/view/test_transparency.py` does.
+#   `tests/library/view/test_transparency.py` does.
 set -eu
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -1,5 +1,5 @@
 """Which modules of kernels have compiled for CUDA: `python tests/support/compiled.py` compiles those that changed and
-keeps the record, tests/core/compiled.json, so that tests compile what is not in it."""
+keeps the record, tests/library/core/compiled.json, so that tests compile what is not in it."""
 
 import importlib
 import json
@@ -10,7 +10,7 @@ import warp as wp
 
 from warpcage.core import kernel_names, kernel_source
 
-RECORD = pathlib.Path(__file__).resolve().parents[1] / "core" / "compiled.json"
+RECORD = pathlib.Path(__file__).resolve().parents[1] / "library" / "core" / "compiled.json"
 
 
 def warp_modules(name):

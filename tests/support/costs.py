@@ -21,7 +21,7 @@ SHOWN = 40
 KINDS = {
     "kernels that tests compile": "core/test_kernel core/test_compiling coordinates/test_forward_only "
     "coordinates/test_kernel_gradients",
-    "workers, kills and clusters": "batch/ films/ cli/test_film",
+    "workers, kills and clusters": "jobs/ films/ cli/test_film",
     "the editor and its page in a browser": "editor/",
     "examples, wheels, docs and processes of their own": "contracts/test_examples contracts/test_install "
     "contracts/test_site contracts/test_threads contracts/test_processes contracts/test_quiet contracts/test_workflows "

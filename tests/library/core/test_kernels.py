@@ -285,7 +285,7 @@ def compile_for_cuda(module, arch, folder):
 
 @pytest.mark.parametrize("name", WITH_KERNELS)
 def test_what_changed_compiles_for_cuda_without_a_gpu(name, tmp_path, monkeypatch):
-    """What tests/core/compiled.json does not know as compiled: `python tests/support/compiled.py` writes it anew."""
+    """What compiled.json does not know as compiled: `python tests/support/compiled.py` writes it anew."""
     for module in compiled.left(warp_modules(name)):
         monkeypatch.setattr(wp.config, "optimization_level", 2)  # half the time, and whether it compiles is the same
         compile_for_cuda(module, 90, tmp_path / module.name)

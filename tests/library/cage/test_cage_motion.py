@@ -14,7 +14,7 @@ from warpcage.cage import are_numbered, gltf_poses, gltf_shown, numbered_files, 
 from warpcage.mesh import read_gltf_motion, write_shown_mesh
 from warpcage.render.surface_file import read_surface
 
-FIXTURES = pathlib.Path(__file__).parents[1] / "data" / "blender_motion"
+FIXTURES = pathlib.Path(__file__).parents[2] / "data" / "blender_motion"
 BOX = Cage.box([-1, -1, -1], [1, 1, 1])
 Y_UP = np.stack([BOX.vertices[:, 0], BOX.vertices[:, 2], -BOX.vertices[:, 1]], axis=1)
 

@@ -13,7 +13,7 @@ from scene_writers import GltfWriter
 from warpcage import Camera, CameraFile, camera_at
 from warpcage.view import read_image
 
-FIXTURES = pathlib.Path(__file__).parents[1] / "data" / "blender_cameras"
+FIXTURES = pathlib.Path(__file__).parents[2] / "data" / "blender_cameras"
 LENS = {"type": "perspective", "perspective": {"yfov": 0.6, "aspectRatio": 1.6, "znear": 0.1}}
 
 

@@ -14,7 +14,7 @@ from warpcage import Cage, CageEdit, Deformer, PoseFile, PositionMap, deform_poi
 from warpcage.cage import cache_poses
 from warpcage.view import read_image
 
-FIXTURES = pathlib.Path(__file__).parents[1] / "data" / "blender_motion"
+FIXTURES = pathlib.Path(__file__).parents[2] / "data" / "blender_motion"
 BENT = BOX.bend(25)
 MOVES = np.stack([BOX.bend(angle).vertices for angle in (0, 10, 25)]).astype(np.float32)
 

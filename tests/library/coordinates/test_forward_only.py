@@ -190,7 +190,7 @@ ADJOINTS = {"lattice/cage_map:add_side_slope"}
 
 
 def test_docs_name_the_functions():
-    docs = (pathlib.Path(__file__).parents[2] / "docs" / "arrays.md").read_text(encoding="utf-8")
+    docs = (pathlib.Path(__file__).parents[3] / "docs" / "arrays.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+/\w+)` \| (.+) \|$", docs.partition("Forward only are")[2], re.MULTILINE)
     said = {f"{file}:{name}" for file, names in rows for name in re.findall(r"`(\w+)`", names)}
     assert said == {key for key, node in functions().items() if is_forward_only(node)}

@@ -14,7 +14,7 @@ import warpcage
 from warpcage.reference import write_brick_scene
 from warpcage.studio.cli import main
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
+ROOT = pathlib.Path(__file__).resolve().parents[3]
 
 #: What is made smaller, or put where these files have it.
 SMALLER = {

@@ -13,7 +13,7 @@ from refusals import refused
 from warpcage import Cage
 from warpcage.mesh import cut_polygon
 
-FIXTURES = pathlib.Path(__file__).parents[1] / "data" / "blender"
+FIXTURES = pathlib.Path(__file__).parents[2] / "data" / "blender"
 POSED = sorted(
     path.name for path in FIXTURES.iterdir() if path.stem not in ("rest", "bent") and not path.stem.endswith("_rest")
 )

@@ -12,7 +12,7 @@ import time
 import pytest
 from runs import DEFORMED, SMALL, succeed, write_files
 
-RECIPES = pathlib.Path(__file__).resolve().parents[2] / "examples" / "clusters"
+RECIPES = pathlib.Path(__file__).resolve().parents[3] / "examples" / "clusters"
 
 #: Notes how each command was called.
 NOTING = '#!/bin/bash\necho "$(basename "$0") $*" >> "$LOG"\n'

@@ -334,7 +334,7 @@ def test_info_names_what_a_stage_holds(tmp_path, capsys):
 
 
 def test_info_counts_frames_of_gltf(capsys):
-    assert main(["info", str(pathlib.Path(__file__).parents[1] / "data/blender_motion/armature.glb")]) == 0
+    assert main(["info", str(pathlib.Path(__file__).parents[2] / "data/blender_motion/armature.glb")]) == 0
     printed = capsys.readouterr().out
     assert re.search(r"holds +1 mesh, 1 skeleton\n", printed) and re.search(r"animation '.*' +\d+ frames in", printed)
 

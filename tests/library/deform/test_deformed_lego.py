@@ -5,7 +5,7 @@ from fields import psnr
 
 import warpcage
 
-pytestmark = pytest.mark.nightly  # by day on fields that are made for it, in tests/deform
+pytestmark = pytest.mark.nightly  # by day on fields that are made for it, in tests/library/deform
 
 
 @pytest.fixture(scope="module")

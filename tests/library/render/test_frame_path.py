@@ -61,7 +61,7 @@ def test_a_plan_follows_from_facts(case):
 #: Rooms that a frame goes through; helpers of other rooms are called from everywhere.
 ROOMS = ("deform", "edits", "field", "render")
 PACKAGE = pathlib.Path(warpcage.__file__).parent
-PAGE = pathlib.Path(__file__).parents[2] / "docs" / "architecture.md"
+PAGE = pathlib.Path(__file__).parents[3] / "docs" / "architecture.md"
 
 
 def listed_hops():
