@@ -109,7 +109,7 @@ def film(session):
 
 def spoken():
     """The words of commands in the scripts of the page."""
-    scripts = (Path(warpcage.__file__).parent / "editor" / "page").rglob("*.js")
+    scripts = (Path(warpcage.__file__).parent / "studio" / "editor" / "page").rglob("*.js")
     return {word for script in scripts for word in re.findall(r'\bdo: "([a-z.]+)"', script.read_text())}
 
 
