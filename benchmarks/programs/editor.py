@@ -465,7 +465,10 @@ def photograph(window, out: pathlib.Path) -> None:
     window.click("#tool-move")
     for field, number in (("turn-z", "150"), ("scale", "0.5"), ("position-y", "-0.6")):
         window.fill(f"#thing-{field}", f"{number}\n")
-    window.press("Home")
+    window.wait("warpcage.store.sections.things[1].place.position[1] === -0.6", "the last number has come")
+    window.click("#outside-all")
+    window.click("#outside-keys")
+    window.wait("document.getElementById('outside').hidden", "all cameras see it")
     keep(window, out / "editor_things.png")
 
 

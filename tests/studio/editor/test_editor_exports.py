@@ -265,7 +265,7 @@ def test_folders_with_something_in_them_stay_as_they_are(field, tmp_path):
     for name in ("frames", "file"):
         with pytest.raises(ValueError, match=MESSAGES["editor.new_folder"]):
             export_film(moving(), field, tmp_path / name, TINY)
-    with pytest.raises(ValueError, match="holds something already"), atomic_folder(tmp_path / "late") as folder:
+    with pytest.raises(ValueError, match="is not empty"), atomic_folder(tmp_path / "late") as folder:
         (folder / "frame_0000.png").write_bytes(b"new")
         (tmp_path / "late").mkdir()
         (tmp_path / "late" / "theirs").write_bytes(b"theirs")

@@ -19,6 +19,8 @@ from editor_pages import new_session, pages, tiny_field, with_pages
 import warpcage
 from warpcage import Cage, PoseFile, VoxelField, deform_points, edit
 from warpcage.studio.editor import COMMANDS, History, frozen_vertices, losses, read_history, replace_cage
+from warpcage.studio.editor import session as session_module
+from warpcage.studio.editor import tasks as tasks_module
 from warpcage.studio.editor.steps import history
 
 __all__ = ["editor", "window"]  # fixtures
@@ -95,6 +97,7 @@ TABLE = {
     "files": ("keeps", {}),
     "thing.files": ("keeps", {}),
     "poses.save": ("keeps", {"file": "kept.json", "edit": FIRST}),
+    "upload.drop": ("keeps", {"file": "sent.obj"}),
     "export": ("keeps", {"what": "poses", "file": "out.json", "edit": FIRST}),
     "export.command": ("keeps", None),  # it writes the session's file, and no more
     "stage.save": ("keeps", None),
@@ -458,3 +461,99 @@ def test_a_look_around_keeps_what_was_undone():
     np.testing.assert_array_equal(session.document.edits[0].posed, REST * 3)
     assert [session.undo(), session.undo()] == ["move", "scrub"]
     np.testing.assert_array_equal(session.document.edits[0].posed, REST * 2)
+
+
+# -- Files that a session wrote, after the editor has ended
+
+
+async def finished(page):
+    """Wait until no job runs; names, addresses and lines of all, the oldest first."""
+    await page.until(lambda: all(job["state"] != "running" for job in page.sections["jobs"]))
+    return [(job["name"], job["download"], job["result"]) for job in page.sections["jobs"]]
+
+
+WRITTEN = [
+    {"do": "export", "what": "cage", "file": "posed cage.obj", "edit": 1},
+    {"do": "export", "what": "mp4", "file": "film.mp4", "width": 16, "height": 16},
+    {"do": "export", "what": "png", "file": "frames", "width": 16, "height": 16},
+    {"do": "poses.save", "file": "poses.json", "edit": 1},
+    {"do": "stage.save", "file": "all.stage.json"},
+]
+
+
+def test_jobs_lists_what_a_session_wrote_after_the_editor_has_ended(tmp_path, monkeypatch):
+    for module in (session_module, tasks_module):
+        monkeypatch.setattr(module, "MOST_EXPORTS", 4)
+    path = ball(tmp_path)
+
+    async def write(page):
+        await page.do(do="timeline", length=0.1)
+        await page.do(do="key.add", time=0.0, pose=True)
+        for message in (WRITTEN[1], *WRITTEN):
+            await page.do(**message)
+            told = await finished(page)
+        return told
+
+    def opened(work):
+        with edit(path, None if path.with_name("ball.session.json").exists() else CAGE) as editor:
+
+            async def talk():
+                async with pages(types.SimpleNamespace(address=editor.url), size=None) as (page,):
+                    told = await work(page)
+                    got = {}
+                    async with aiohttp.ClientSession() as http:
+                        for name, download, _ in told:
+                            if download is not None:
+                                async with http.get(editor.url + download) as answer:
+                                    got[name] = answer.status, await answer.read()
+                    return told, got
+
+            return asyncio.run(talk())
+
+    before, _ = opened(write)
+    session = tmp_path / "ball.session.json"
+    told, got = opened(finished)
+    assert told == before[-4:] and len(before) == 6  # one of each name, the newest four
+    assert [name for name, download, _ in told if download is None] == ["Write frames"]
+    assert str(tmp_path / "frames") in {name: line for name, _, line in told}["Write frames"]
+    for name, answer in got.items():
+        assert answer == (200, (tmp_path / name.removeprefix("Write ")).read_bytes())
+    content = session.read_bytes()
+    assert opened(finished)[0] == told and session.read_bytes() == content  # a look changes nothing
+    (tmp_path / "film.mp4").write_bytes(b"mine")  # another file by now
+    (tmp_path / "poses.json").unlink()
+    (tmp_path / "poses.json").symlink_to(path.parent.parent)
+    assert [name for name, _, _ in opened(finished)[0]] == ["Write frames", "Write all.stage.json"]
+
+    async def clear(page):
+        (number,) = (job["id"] for job in page.sections["jobs"] if job["name"] == "Write frames")
+        await page.do(do="job.clear", id=number)
+        assert "is there already" in await page.refused(**WRITTEN[-1])  # of an earlier run: it is not replaced
+        return []
+
+    opened(clear)
+    assert [name for name, _, _ in opened(finished)[0]] == ["Write all.stage.json"]
+    (tmp_path / "all.stage.json").unlink()
+    assert opened(finished)[0] == []
+
+
+EXPORTS = [5, None, "no", [5], [{}], [{"name": 5, "text": "a", "size": 1, "time": 1}],
+           [{"name": "../ball.npz", "text": "a", "size": None, "time": None}],
+           [{"name": "ball.npz", "text": "a", "size": [], "time": {}}]]  # fmt: skip
+
+
+@pytest.mark.parametrize("exports", EXPORTS)
+def test_exports_of_a_file_that_make_no_sense_are_left_out(tmp_path, exports):
+    path = ball(tmp_path)
+    worked(path)
+    session = tmp_path / "ball.session.json"
+    content = json.loads(session.read_text())
+    assert "exports" not in content  # nothing was exported
+    session.write_text(json.dumps(content | {"exports": exports}))
+    with edit(path) as editor:
+
+        async def talk():
+            async with pages(types.SimpleNamespace(address=editor.url), size=None) as (page,):
+                return page.sections["jobs"]
+
+        assert asyncio.run(talk()) == []

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from editor_browser import Window, editor, until, window
 
+from warpcage.studio.editor import Outcome
+
 __all__ = ["editor", "window"]  # fixtures
 
 #: Every control that can be seen and does not lie where it can be pressed; texts without contrast to what is behind.
@@ -200,3 +202,20 @@ def test_new_users_are_told_once_how_the_view_turns(window: Window, way: str) ->
     window.wait(f"!({shown})")
     window.reload()
     assert window.get(shown) is None
+
+
+def test_notes_of_much_work_with_long_names_stay_in_the_view(window: Window, editor: Any) -> None:
+    for number in range(9):
+        name = f"Write {number}{'x' * 150}.mp4"
+        editor.server.jobs.start(name, "file", lambda progress: Outcome("y" * 150, "download/x"))
+    window.wait("document.querySelectorAll('#work li').length === 9", "all are shown")
+    box = window.box
+    inside = """[...document.querySelectorAll('#work button')].filter((one) => one.offsetWidth).every((one) => {
+        one.scrollIntoView({block: "nearest"});
+        const { left, right, top, bottom } = one.getBoundingClientRect(), view = arguments[0];
+        const room = Math.min(left - view.left, view.right - right, top - view.top, view.bottom - bottom);
+        return room >= -1 / devicePixelRatio;
+    })"""
+    assert window.get(inside, box)
+    window.click("#turn-hint-close")  # what is above them can be reached
+    window.wait("!document.getElementById('turn-hint')")

@@ -364,7 +364,7 @@ def test_a_move_of_the_camera_becomes_keys(window: Window, editor: Any) -> None:
     window.click("#camera-move")
     window.fill("#ask-words", "spin:3")
     window.click("#dialog-confirm")
-    window.wait('document.getElementById("dialog-error").textContent.includes("is no move")')
+    window.wait('document.getElementById("dialog-error").textContent.includes("is not a move")')
     assert window.get('document.getElementById("ask-words").value') == "spin:3"  # what was typed stays
     window.press("Escape")
     assert editor.document.timeline.keys == keys

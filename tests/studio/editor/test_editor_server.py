@@ -2,15 +2,20 @@
 
 import asyncio
 import os
+import pathlib
+import subprocess
+import sys
+import tempfile
 
 import pytest
 
 aiohttp = pytest.importorskip("aiohttp")
 pytest.importorskip("hypothesis")
 
-from editor_pages import BOX, WAIT, new_session, run, status, with_pages
+from editor_pages import BOX, WAIT, new_session, run, status, tiny_field, with_pages
 from editor_pages import nothing_logged as _nothing_logged  # noqa: F401 (a fixture for all tests)
 
+from warpcage import PoseFile
 from warpcage.studio.editor import server
 
 REST = BOX.vertices
@@ -207,6 +212,9 @@ def test_no_file_that_is_there_is_replaced(tmp_path):
         await page.do(do="poses.save", file="new.json")  # our own
         (tmp_path / "new.json").write_bytes(b"mine, too")
         assert "is there already" in await page.refused(do="poses.save", file="new.json")
+        await page.do(do="edit.delete", id=1)
+        for what, name in (("cage", "none.obj"), ("poses", "none.json")):
+            assert "no edit is selected" in await page.refused(do="export", what=what, file=name)
 
     with_pages(test, tmp_path, session=new_session(tmp_path / "kept.session.json"))
     assert {name: (tmp_path / name).read_bytes() for name in kept} == kept
@@ -260,22 +268,170 @@ UPLOADS = {
 }
 
 
-def test_uploads_stay_in_the_folder_under_names_of_their_own(tmp_path):
+def shown(folder):
+    """Names and contents of the files in a folder that people see."""
+    return {name: (folder / name).read_bytes() for name in os.listdir(folder) if not name.startswith(".")}
+
+
+def hidden(folder):
+    """Contents of the uploads in a folder that wait, in their order."""
+    files = [path for path in folder.iterdir() if path.name.startswith(".warpcage-upload-")]
+    return sorted(path.read_bytes() for path in files if not path.name.endswith("-lock"))
+
+
+async def sent(host, name, content, page=None):
+    """Upload a file, as a page does; its name."""
+    async with aiohttp.ClientSession() as http:
+        of = "" if page is None else f"?page={page.client}"
+        async with http.post(f"{host.address}upload{of}", **form(name, content)) as answer:
+            return (await answer.json())["file"]
+
+
+def test_uploads_get_names_of_their_own_and_go_with_the_editor(tmp_path):
     async def test(host, http):
         for name, kept in UPLOADS.items():
             async with http.post(host.address + "upload", **form(name)) as answer:
                 assert answer.status == (400 if kept is None else 200), (name, await answer.text())
                 assert kept is None or (await answer.json()) == {"file": kept}
-        names = {kept for kept in UPLOADS.values() if kept}
-        assert set(os.listdir(tmp_path)) == names
+        assert len(hidden(tmp_path)) == len([kept for kept in UPLOADS.values() if kept])
         posts = [http.post(host.address + "upload", **form("cage.obj", b"%d" % k)) for k in range(6)]
         answers = await asyncio.gather(*posts)
         later = {(await answer.json())["file"] for answer in answers}
         assert later == {f"cage-{number}.obj" for number in range(2, 8)}
-        assert {(tmp_path / name).read_bytes() for name in later} == {b"%d" % k for k in range(6)}
-        assert (tmp_path / "cage.obj").read_bytes() == b"v 0 0 0\n"
+        assert set(hidden(tmp_path)) == {b"v 0 0 0\n", *(b"%d" % k for k in range(6))}
+        assert shown(tmp_path) == {}
 
     run(test, tmp_path)
+    assert os.listdir(tmp_path) == []
+
+
+def saved(save, name):
+    """What a file holds that something saves."""
+    with tempfile.TemporaryDirectory() as folder:
+        save(pathlib.Path(folder) / name)
+        return (pathlib.Path(folder) / name).read_bytes()
+
+
+def pose_file():
+    poses = PoseFile(BOX)
+    poses["up"] = BOX.translate((0, 0, 0.5))
+    return poses
+
+
+LOADED = [
+    ("cage.obj", lambda: saved(BOX.save, "cage.obj"), {"do": "cage.load"}),
+    ("pose.obj", lambda: saved(BOX.translate((0, 0, 1)).save, "pose.obj"), {"do": "pose.load", "edit": 1}),
+    ("ball.npz", lambda: saved(tiny_field().save, "ball.npz"), {"do": "thing.add"}),
+    ("poses.json", lambda: saved(pose_file().save, "poses.json"), {"do": "poses.load", "edit": 1}),
+]
+
+
+@pytest.mark.parametrize(("name", "made", "command"), LOADED)
+def test_an_upload_gets_into_the_folder_once_it_was_read_and_taken(tmp_path, name, made, command):
+    mine, good = b"mine", made()
+    (tmp_path / name).write_bytes(mine)
+    stem, ending = name.split(".")
+
+    async def test(host, page):
+        for content in (b"no", good[: len(good) // 2]):
+            kept = await sent(host, name, content, page)
+            assert kept == f"{stem}-2.{ending}"
+            error = await page.refused(**command, file=kept)
+            assert kept in error and "upload-" not in error
+            assert (shown(tmp_path), hidden(tmp_path)) == ({name: mine}, [content])
+            for asked in ("files", "thing.files"):
+                assert kept not in str(await page.do(do=asked))
+            await page.do(do="upload.drop", file=kept)
+            assert hidden(tmp_path) == []
+        assert "not there" in await page.refused(**command, file=kept)
+        kept = await sent(host, name, good, page)
+        await page.do(**command, file=kept)
+        await page.do(do="upload.drop", file=kept)  # which is another one's by now
+        assert (shown(tmp_path), hidden(tmp_path)) == ({name: mine, f"{stem}-2.{ending}": good}, [])
+        assert host.session.history.undo_steps
+
+    with_pages(test, tmp_path)
+
+
+def test_an_upload_that_fits_no_more_waits_again_and_a_name_that_is_taken_meanwhile_stays(tmp_path, monkeypatch):
+    monkeypatch.setattr("warpcage.studio.editor.things.MAX_THINGS", 1)
+    field = saved(tiny_field().save, "ball.npz")
+
+    async def test(host, page):
+        kept = await sent(host, "ball.npz", field, page)
+        assert "at most 1" in await page.refused(do="thing.add", file=kept)
+        assert (shown(tmp_path), hidden(tmp_path)) == ({}, [field])
+        monkeypatch.setattr("warpcage.studio.editor.things.MAX_THINGS", 2)
+        (tmp_path / "ball.npz").write_bytes(b"mine")
+        await page.do(do="thing.add", file=kept)
+        assert host.session.document.things[1].file == "ball-2.npz"
+        assert shown(tmp_path) == {"ball.npz": b"mine", "ball-2.npz": field}
+
+    with_pages(test, tmp_path)
+
+
+def test_the_uploads_of_a_page_go_with_it_and_those_of_others_stay(tmp_path):
+    async def test(host, page, other):
+        await sent(host, "one.obj", b"one", page)
+        await sent(host, "two.obj", b"two", other)
+        await page.socket.close()
+        await other.until(lambda: other.sections["session"]["pages"] == 1)
+        await other.do(do="files")
+        assert hidden(tmp_path) == [b"two"]
+        _, writer = await asyncio.open_connection("127.0.0.1", host.port)
+        head = f"POST /{host.token}/upload HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9999\r\n"
+        writer.write(f"{head}Content-Type: multipart/form-data; boundary=x\r\n\r\n".encode() + form("cut.obj")["data"])
+        await writer.drain()
+        writer.transport.abort()
+        await other.do(do="files")
+        assert hidden(tmp_path) == [b"two"]
+
+    with_pages(test, tmp_path, count=2)
+    assert os.listdir(tmp_path) == []
+
+
+KILLED = """
+import pathlib, sys
+from warpcage.studio.editor.work.uploads import Uploads
+
+folder = pathlib.Path(sys.argv[1])
+uploads = Uploads(folder, lambda name: folder / name)
+uploads.keep(sys.argv[2], b"no field")
+print("kept", flush=True)
+sys.stdin.read()
+"""
+
+
+USERS = [".warpcage-upload-notes.obj", ".warpcage-upload-lock", "warpcage-upload-0123456789abcdef-lock", "a.npz",
+         ".warpcage-upload-0123456789abcdef-mine.obj"]  # fmt: skip
+
+
+def test_what_a_killed_editor_leaves_is_removed_and_nothing_else(tmp_path):
+    for name in USERS:
+        (tmp_path / name).write_bytes(b"mine")
+    (tmp_path / ".warpcage-upload-fedcba9876543210-lock").mkdir()
+    started = [subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path), name], stdin=subprocess.PIPE,
+                                stdout=subprocess.PIPE) for name in ("killed.npz", "runs.npz")]  # fmt: skip
+    killed, _ = started
+    try:
+        for one in started:
+            assert one.stdout.readline() == b"kept\n"
+        killed.kill()
+        killed.wait()
+        assert len(list(tmp_path.glob(".warpcage-upload-*-killed.npz"))) == 1
+
+        async def test(host, page):
+            assert await page.do(do="thing.files") == {"files": ["a.npz"]}
+            assert not list(tmp_path.glob(".warpcage-upload-*-killed.npz"))
+            assert len(list(tmp_path.glob(".warpcage-upload-*-runs.npz"))) == 1  # its editor has not ended
+            assert len(list(tmp_path.glob(".warpcage-upload-*-lock"))) == 2
+
+        with_pages(test, tmp_path)
+    finally:
+        for one in started:
+            one.kill()
+            one.communicate()
+    assert [(tmp_path / name).read_bytes() for name in USERS] == [b"mine"] * len(USERS)
 
 
 def test_broken_uploads_are_refused_and_leave_nothing(tmp_path, monkeypatch):
@@ -323,6 +479,8 @@ def test_a_full_disk_while_uploading_leaves_nothing(tmp_path, monkeypatch):
         async with http.post(host.address + "upload", **form("cage.obj")) as answer:
             text = await answer.text()
             assert answer.status == 400 and "no space left" in text and str(tmp_path) not in text
-        assert os.listdir(tmp_path) == []
+            assert "upload-" not in text
+        assert shown(tmp_path) == {} and hidden(tmp_path) == []
 
     run(test, tmp_path)
+    assert os.listdir(tmp_path) == []

@@ -152,7 +152,7 @@ def test_what_changes_nothing_is_no_step_and_keeps_what_was_undone():
     drag(session, REST * 1.1)
     session.undo()
     for message in (
-        {"do": "timeline", "length": 4.0, "fps": 24.0, "loop": "once"},
+        {"do": "timeline", "fps": 24.0, "loop": "once"},
         {"do": "edit.change", "id": 1, "visible": True},
         {"do": "settings", "show": "rgb"},
         {"do": "pose.set", "edit": 1, "vertices": REST.tolist()},
@@ -231,14 +231,39 @@ def test_a_step_is_undone_at_the_time_that_it_was_made_at():
     assert session.document.time == 2.0 and session.document.view.fov == 20.0
 
 
-def test_a_film_that_ends_before_the_head_takes_it_to_its_end():
+#: What makes a film of keys at 0, 1 and 4 s shorter, and its new end; the last key's number is that of "id".
+SHORTER = [
+    ({"do": "timeline", "length": 4.5}, 4.5),
+    ({"do": "key.change", "time": 2.0}, 2.0),
+    ({"do": "key.delete"}, 1.0),
+]
+
+
+@pytest.mark.parametrize(("command", "end"), SHORTER, ids=[command["do"] for command, _ in SHORTER])
+def test_a_film_that_ends_before_the_head_takes_it_to_its_end(command, end):
     session = new_session()
-    session.run({"do": "key.add", "time": 1.0, "pose": True})
-    session.scrub(4.0)
-    session.run({"do": "timeline", "length": 3.0})
-    assert session.document.time == session.document.timeline.length == 3.0
+    for time in (0.0, 1.0, 4.0):
+        session.run({"do": "key.add", "time": time, "pose": True})
+    if "length" in command:
+        session.run({"do": "timeline", "length": 6.0})
+    session.scrub(session.document.timeline.length)
+    there = session.document.time
+    session.run({"id": session.document.timeline.keys[-1].id, **command})
+    assert session.document.time == session.document.timeline.length == end
     session.run({"do": "key.add", "time": session.document.time, "pose": True})
-    assert session.document.timeline.length == 3.0
+    assert session.document.timeline.length == end
+    session.undo()
+    session.undo()
+    assert session.document.time == session.document.timeline.length == there
+
+
+def test_a_length_that_is_typed_as_it_is_stays_where_keys_move():
+    session = new_session()
+    for time in (0.0, 2.0):
+        session.run({"do": "key.add", "time": time, "pose": True})
+    session.run({"do": "timeline", "length": 2.0})
+    session.run({"do": "key.change", "id": session.document.timeline.keys[-1].id, "time": 1.0})
+    assert session.document.timeline.length == 2.0
 
 
 def test_keys_follow_a_cage_at_rest_when_its_drag_ends_by_another_command():

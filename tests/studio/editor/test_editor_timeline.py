@@ -6,8 +6,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from editor_pages import new_session
+from editor_pages import new_session, tiny_field
 from messages import MESSAGES
+from runs import succeed
 
 from warpcage import Cage, Camera, CameraKey, PoseFile
 from warpcage.core import EASINGS
@@ -32,6 +33,7 @@ from warpcage.studio.editor import (
     with_camera_moves,
     with_pose_file,
 )
+from warpcage.studio.jobs import JobFile
 from warpcage.view.motion import frame_count
 
 CAGE = Cage.box([-1, -1, -1], [1, 1, 1])
@@ -236,7 +238,15 @@ def test_a_film_is_as_long_as_its_last_key_and_has_the_same_frames_everywhere(tm
     assert session.section("timeline")["frames"] == len(frame_times(document.timeline)) == frames  # page, jobs
     pose_file(document, document.edits[0].id).save(tmp_path / "poses.json")
     file = PoseFile.load(tmp_path / "poses.json", CAGE)
-    assert file.length == last and frame_count(file.length, fps, file.loop or "once") == frames  # animate, render_film
+    assert file.length == last and frame_count(file.length, fps, file.loop or "once") == frames  # render_film
+    tiny_field().save(tmp_path / "ball.npz")
+    CAGE.save(tmp_path / "cage.obj")
+    words = ["animate", "@ball.npz", "--cage", "@cage.obj", "--posed", "@poses.json", "--size", 8, "--quiet"]
+    succeed(tmp_path, *words, "-o", "@frames")
+    assert len(list((tmp_path / "frames").glob("*.png"))) == frames
+    succeed(tmp_path, *words, "--jobs", "@film.jsonl")
+    with JobFile(tmp_path / "film.jsonl") as job:
+        assert len(job) == frames
     session.run({"do": "key.delete", "id": document.timeline.keys[-1].id})
     assert session.document.timeline.length == 4.0  # as without keys
     session.run({"do": "timeline", "length": 9.0})
@@ -464,7 +474,7 @@ def test_a_turn_stays_within_what_pictures_saw():
 
 @pytest.mark.parametrize("words", ["spin", "turn:x", "dolly:0", "", "follow"])
 def test_words_that_name_no_move_are_refused(words):
-    with pytest.raises(ValueError, match="no move|1 to 100 letters|cage to follow"):
+    with pytest.raises(ValueError, match="a move|1 to 100 letters|cage to follow"):
         with_camera_moves(film(length=4.0), words, [])
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from editor_browser import CAGE, Window, editor, looks_cheap, on_page, until, window
+from editor_browser import CAGE, Window, editor, looks_cheap, on_page, tunnel, until, window
 from editor_pages import tiny_field
 from page_probe import projected
 
@@ -196,7 +196,7 @@ def test_a_new_thing_outside_the_view_is_told_and_brought_in(window: Window, edi
     add(window, green)
     window.wait("!document.getElementById('outside').hidden && !document.getElementById('outside-keys').hidden")
     assert window.get("document.getElementById('outside-text').textContent") == (
-        '"green" is outside the view and 1 camera key.'
+        '"green" is not fully in the view nor in 1 camera key.'
     )
     window.click("#outside-all")
     window.wait("document.getElementById('outside-all').hidden", "the view sees it")
@@ -206,3 +206,175 @@ def test_a_new_thing_outside_the_view_is_told_and_brought_in(window: Window, edi
     until(lambda: editor.document.timeline.keys[0].view != before, "the key is moved")
     window.press("Ctrl+Z")
     until(lambda: editor.document.timeline.keys[0].view == before, "undone")
+
+
+@pytest.mark.parametrize("again", [True, False], ids=["the line comes back", "the line stays away"])
+def test_a_connection_that_breaks_while_a_thing_is_moved(window: Window, editor: Any, again: bool) -> None:
+    looks_cheap(window)
+    with tunnel(editor.url) as (line, address):
+        window.open(address)
+        window.press("T")
+        window.wait('warpcage.store.sections.settings.mode === "place"')
+        begin = on_page(window, (0.3, 0.0, -0.4))
+
+        def moved_by() -> np.ndarray:
+            """How far the thing was moved, CSS pixels."""
+            return on_page(window, editor.document.things[0].place.position) - on_page(window, (0.0, 0.0, 0.0))
+
+        window.point("mouseMoved", begin)
+        window.point("mousePressed", begin, button="left")
+        window.point("mouseMoved", begin + [10, 0], button="left")
+        until(lambda: editor.document.things[0].place != warpcage.Place(), "the move arrives")
+        line.cut()
+        window.wait("!warpcage.store.status.connected", "the page knows that the line is broken")
+        window.point("mouseMoved", begin + [30, 0], button="left")
+        if again:
+            line.restore()
+            window.wait("warpcage.store.status.connected", "the page is connected again")
+        window.point("mouseReleased", begin + [30, 0], button="left")
+        if again:
+            until(lambda: np.allclose(moved_by(), [30.0, 0.0], atol=1.0), "the server has what the hand did")
+        else:
+            window.wait("document.getElementById('toasts').textContent.includes('left out')", "it is said")
+            np.testing.assert_allclose(moved_by(), [10.0, 0.0], atol=1.0)
+        window.console()  # what a browser says by itself of a socket that breaks
+        window.open(editor.url)
+
+
+#: Holds back what goes to the editor and the pictures that come, until `go()`: each wait is as long as the test likes.
+HOLD = """
+const kept = [], speed = document.getElementById("speed");
+const isHeld = (words) => window.held && String(words).includes(window.held);
+window.hold = (words) => (window.held = words);
+window.go = () => ((window.held = null), kept.splice(0).forEach((one) => one()));
+const { fetch, createImageBitmap: decode } = window, { send } = WebSocket.prototype;
+const unheld = (words) => isHeld(words) && new Promise((on) => kept.push(on));
+window.fetch = async (...given) => (await unheld(given[0]), fetch(...given));
+window.createImageBitmap = async (...given) => (await unheld("picture"), decode(...given));
+WebSocket.prototype.send = function (words) {
+  if (isHeld(words)) kept.push(() => send.call(this, words));
+  else send.call(this, words);
+};
+"""
+
+
+@pytest.mark.parametrize(
+    "held, said", [("upload", "Uploading green.npz"), ("thing.add", "Reading green.npz"), ("picture", "First picture")]
+)
+def test_the_page_says_what_a_new_thing_waits_for(window: Window, editor: Any, green: str, tmp_path: Path, held, said):
+    looks_cheap(window)
+    window.unfold("things")
+    window.rest()
+    window.driver.execute_script(HOLD)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / green).rename(tmp_path / "mine" / green)  # on the user's computer
+    window.get("hold(arguments[0])", held)
+    window.driver.find_element("id", "thing-upload-file").send_keys(str(tmp_path / "mine" / green))
+    window.wait("document.getElementById('speed').textContent.startsWith(arguments[0])", said, said)
+    window.get("go()")
+    window.wait("warpcage.store.sections.things.length === 2", "it is in the scene")
+    window.rest()
+    window.wait("document.getElementById('speed').textContent.startsWith('at rest')", "nothing is waited for")
+
+
+def shown(folder: Path) -> list[str]:
+    """Names of the files in a folder that people see, and of the uploads that wait."""
+    return sorted(one.name for one in folder.iterdir() if not one.name.endswith((".secret", "-lock", ".session.json")))
+
+
+def test_an_upload_that_is_refused_or_cancelled_is_gone(window: Window, tmp_path: Path) -> None:
+    sent = tmp_path / "sent"
+    sent.mkdir()
+    CAGE.save(sent / "cage.obj")
+    (sent / "bad.obj").write_text("v 0 0 0\n")
+    (sent / "bad.npz").write_bytes(b"no field")
+
+    def upload(field: str, name: str) -> None:
+        window.driver.find_element("css selector", field).send_keys(str(sent / name))
+
+    def left(*names: str) -> None:
+        until(lambda: shown(tmp_path) == ["ball.npz", *names, "sent"], f"{names} are left")
+
+    upload("#thing-upload-file", "bad.npz")
+    window.wait("document.querySelector('.toast.error')?.textContent.includes('bad.npz is not a')")
+    left()
+    upload("#cage-upload-file", "cage.obj")  # asked for which edit
+    window.wait("document.getElementById('ask-edit')")
+    assert [name.endswith("-cage.obj") for name in shown(tmp_path)].count(True) == 1
+    window.press("Escape")
+    left()
+    upload("#cage-upload-file", "bad.obj")
+    window.wait("document.getElementById('ask-edit')")
+    window.click("#dialog-confirm")
+    window.wait("document.getElementById('dialog-error').textContent.includes('/bad.obj: no faces')")
+    window.click("#dialog-cancel")
+    left()
+    upload("#cage-upload-file", "cage.obj")
+    window.wait("document.getElementById('ask-edit')")
+    window.confirm()
+    window.wait("warpcage.store.sections.edits.length === 2")
+    left("cage.obj")
+
+
+NAMED = [
+    ("film", "#time-export"),
+    ("film", "#export-film"),
+    ("film", "#export-cage"),
+    ("film", "#export-poses"),
+    ("film", "#export-bake"),
+    ("things", "#stage-save"),
+]
+
+
+def test_a_bad_name_keeps_its_dialog_and_messages_leave_download_free(window: Window, tmp_path: Path) -> None:
+    metrics = {"width": 800, "height": 600, "deviceScaleFactor": 0.5, "mobile": False}
+    window.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    try:
+        window.unfold("jobs")
+        said = window.get('document.getElementById("session-folder").title')
+        assert f"go into {tmp_path}:" in said
+        assert window.get('document.getElementById("session-folder").textContent') == f"Folder: {tmp_path.name}"
+        for group, opener in NAMED:
+            window.unfold(group)
+            window.click(opener)
+            window.wait("document.getElementById('ask-file')")
+            window.fill("#ask-file", "a/b")
+            window.click("#dialog-confirm")
+            window.wait("document.getElementById('dialog-error')?.textContent.includes('without folders')")
+            assert window.get("document.getElementById('ask-file').value") == "a/b"
+            window.press("Escape")
+            window.wait("!document.querySelector('dialog')")
+        assert window.section("jobs") == []
+        window.click("#export-cage")
+        window.confirm()
+        link = "document.querySelector('#work .job a[download]:not([hidden])')"
+        window.wait(link)
+        window.press("P")  # the panel, which lies over the view in a small window
+        toast = "/core/dialogs.js').then(({ toast }) => toast(arguments[1] + ' and so on'.repeat(12), 'error'))"
+        for number in range(4):
+            window.driver.execute_script(
+                f"return import('/' + arguments[0] + '{toast}", window.address.split("/")[3], number
+            )
+        box = window.get(f"{link}.getBoundingClientRect().toJSON()")
+        middle = box["left"] + box["width"] / 2, box["top"] + box["height"] / 2
+        assert window.get("document.elementFromPoint(arguments[0], arguments[1]).closest('a')?.download", *middle) == ""
+    finally:
+        window.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_a_coarse_picture_is_not_called_at_rest(window: Window) -> None:
+    looks_cheap(window)
+    window.rest()
+    script = "warpcage.store.setStatus({fps: 0, frame: {...warpcage.store.status.frame, sharp: arguments[0]}})"
+    for sharp, said in ((False, "preview"), (True, "at rest")):
+        window.driver.execute_script(script, sharp)
+        window.wait("document.getElementById('speed').textContent.startsWith(arguments[0])", said, said)
+
+
+def test_add_object_in_an_empty_folder_names_the_ways_there_are(window: Window, editor: Any, tmp_path: Path) -> None:
+    (tmp_path / "ball.npz").unlink()
+    window.unfold("things")
+    window.click("#thing-add")
+    said = window.wait("document.querySelector('#toasts > *')?.textContent")
+    for button in ("upload", "copy"):
+        assert window.get("document.getElementById(arguments[0]).textContent", f"thing-{button}").rstrip("…") in said

@@ -23,11 +23,11 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "session": "Session file_stamp free_session_path new_document read_session session_path write_session",
         "steps.history": "DEPTH History read_history",
         "steps.losses": "losses",
-        "tasks": "Cancelled Jobs MAX_JOBS MAX_UNFINISHED Outcome",
         "things": "field_files read_fields stage_of with_new_thing with_stage",
         "timeline": (
             "document_at frame_rate frame_times load_poses looped_time place_files placed_at pose_file state_at ways "
             "with_camera_moves with_pose_file"
         ),
+        "work.jobs": "Cancelled Jobs MAX_JOBS MAX_UNFINISHED Outcome",
     },
 )

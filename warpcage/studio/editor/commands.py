@@ -364,8 +364,6 @@ def change_timeline(document: Document, message: Message) -> Step:
     if "length" in message:
         last = max((key.time for key in document.timeline.keys), default=0.0)
         changes["length"] = checked_between(message["length"], last, MAX_SECONDS, "length (not before the last key)")
-        # Beyond the last key nothing moves: only the time changes.
-        document = dataclasses.replace(document, time=min(document.time, changes["length"]))
     if "fps" in message:
         changes["fps"] = checked_between(message["fps"], 0.01, MAX_RATE, "fps")
     if "loop" in message:

@@ -272,6 +272,8 @@ class Document:
 
     def edit(self, number: int) -> Edit:
         """An edit by its number. Raises ValueError where there is none."""
+        if number is None:  # what is selected where there is none
+            raise InputError("no edit is selected: add or select one first")
         checked_id(number, "the number of an edit")
         for edit in self.edits:
             if edit.id == number:
@@ -324,12 +326,14 @@ class Document:
         return self.with_timeline(keys=tuple(sorted(keys, key=lambda one: (one.time, one.id))))
 
     def with_timeline(self, **changes: Any) -> Document:
-        """The document with another film."""
+        """The document with another film; one that is shorter takes the head to its end."""
         film = dataclasses.replace(self.timeline, **changes)
         if film.follows_keys:
             last = max((key.time for key in film.keys), default=0.0)
             film = dataclasses.replace(film, length=last or Timeline.length)
-        return dataclasses.replace(self, timeline=film)
+        # Beyond the last key nothing moves: only the time changes.
+        time = min(self.time, film.length) if film.length < self.timeline.length else self.time
+        return dataclasses.replace(self, timeline=film, time=time)
 
     def to_json(self, own: str = "scene") -> dict[str, Any]:
         """The document as JSON takes it. Numbers keep all their digits.

@@ -186,14 +186,14 @@ def edit(
     for number, one in enumerate(cages, start=1):
         require_type(one, Cage, f"cage {number} of the editor must be")
         one.require_usable(f"cage {number}")
-    stamp, steps = None if kept is None else file_stamp(kept), None
+    stamp, steps, exports = None if kept is None else file_stamp(kept), None, ()
     if kept is not None and stamp is not None:
         if cages:
             raise InputError(
                 f"{kept} holds a session of this field already: leave the cage out to go on with it, or name another "
                 "file for the session"
             )
-        document, steps = read_kept(kept, loaded)
+        document, steps, exports = read_kept(kept, loaded)
     else:
         resolution = RESOLUTION_CPU if loaded.device.is_cpu else RESOLUTION_CUDA
         document = new_document(loaded, cages, resolution, "scene" if given is None else thing_name(given))
@@ -207,5 +207,5 @@ def edit(
         up = document.things[0].place.rotation @ loaded.up
         document = dataclasses.replace(document, view=view_of_box(fields.bounds(document), up))
     history, lost = read_history(steps, fields, lambda file: load_thing(folder / file, device=loaded.device))
-    held = Session(fields, document, kept, given, stamp, scene_scale, history, lost)
+    held = Session(fields, document, kept, given, stamp, scene_scale, history, lost, exports)
     return Editor(held, folder, host, port, allowed_hosts)

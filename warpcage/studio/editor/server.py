@@ -31,11 +31,13 @@ from .document import Edit, checked_view
 from .inspection import Checker
 from .pictures.renderer import Renderer, Request
 from .session import PARTS, Session
-from .tasks import Jobs, Tasks
+from .tasks import Tasks
 from .timeline import framed_views
 from .web.access import Access, Files
 from .web.clients import MAX_SLOW, Client, packed_vertices, unpacked_vertices
 from .web.player import Player
+from .work.jobs import Jobs
+from .work.uploads import shown
 
 #: Bytes of a message and of a file that a page may send, and pages that may be connected.
 MAX_MESSAGE, MAX_UPLOAD, MAX_PAGES = 4 << 20, 64 << 20, 32
@@ -79,7 +81,6 @@ class Server:
         self._flush: asyncio.Handle | None = None
         self._told: dict[tuple[int, int], np.ndarray] = {}  # vertices that pages know, by kind and edit
         self._frame: tuple[int, bytes] | None = None
-        self._uploads = asyncio.Semaphore(2)
 
     async def start(self) -> str:
         """Begin to serve. Returns the address of the page; raises OSError where the port is taken."""
@@ -133,6 +134,7 @@ class Server:
     def _stop_threads(self) -> None:
         self.renderer.close()
         self.jobs.close()
+        self.tasks.uploads.close()
         self.session.save_changes()
 
     def _on_job(self) -> None:
@@ -183,6 +185,8 @@ class Server:
         del self.clients[client.number]
         self.session.end_gesture(client)
         self.lookers.discard(client)
+        ended = asyncio.gather(*client.slow, return_exceptions=True)  # which may still take what it has sent
+        ended.add_done_callback(lambda _: self.tasks.uploads.drop_of(client.number))
         if self._sizer is client:
             self._sizer = next((one for one in self.clients.values() if one.size is not None), None)
         if not self.clients:
@@ -484,10 +488,11 @@ class Server:
 
 def told(error: Exception) -> str:
     """What a page is told of an error. One that no input should cause is logged too."""
+    line = shown(error_line(error, MAX_LINE, folders=False))
     if not isinstance(error, EXPECTED):
         _log.exception("a page's command failed", exc_info=error)
-        return f"this went wrong in the editor: {type(error).__name__}: {error_line(error, MAX_LINE, folders=False)}"
-    return error_line(error, MAX_LINE, folders=False)
+        return f"this went wrong in the editor: {type(error).__name__}: {line}"
+    return line
 
 
 def _places(edit: Edit) -> tuple[tuple[tuple[int, int], np.ndarray], ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime
 import json
@@ -71,17 +72,59 @@ def file_stamp(path: pathlib.Path) -> Stamp | None:
     return status.st_mtime_ns, status.st_size, status.st_ino
 
 
+@dataclasses.dataclass(frozen=True)
+class Export:
+    """A file, or a folder of pictures, that a session wrote into its folder."""
+
+    name: str
+    text: str  # what it is, in a line
+    size: int | None  # bytes of a file
+    time: int | None  # when it was changed last, nanoseconds, by which another file of its name is known
+
+    @classmethod
+    def of(cls, path: pathlib.Path, text: str) -> Export:
+        """What is noted of a file that was just written."""
+        stamp = None if path.is_dir() else file_stamp(path)
+        return cls(path.name, text, *((None, None) if stamp is None else (stamp[1], stamp[0])))
+
+    def is_there(self, path: pathlib.Path) -> bool:
+        """Whether a path is still that file, or a folder where it was one."""
+        return path.is_dir() if self.size is None else path.is_file() and Export.of(path, self.text) == self
+
+
+#: Exports that a session's file keeps, the newest.
+MOST_EXPORTS = 40
+
+
+def read_exports(content: Any) -> tuple[Export, ...]:
+    """The exports of a session's file, the oldest first; what is no export is left out."""
+    exports = []
+    for entry in content[-MOST_EXPORTS:] if isinstance(content, list) else ():
+        with contextlib.suppress(*DAMAGED, ValueError):
+            one = Export(**entry)
+            if all(isinstance(text, str) for text in (one.name, one.text)):
+                exports.append(dataclasses.replace(one, text=one.text[:MAX_LINE]))
+    return tuple(exports)
+
+
 def write_session(
-    path: PathLike, document: Document, field: AnyField, field_name: str | None, history: dict[str, Any] | None = None
+    path: PathLike,
+    document: Document,
+    field: AnyField,
+    field_name: str | None,
+    history: dict[str, Any] | None = None,
+    exports: Iterable[Export] = (),
 ) -> None:
     """Write a session's file, whole or not at all; the name of a field without a file is None.
-    history: its steps, see `History.to_json`."""
+    history: its steps, see `History.to_json`; exports: what it wrote into its folder."""
     content = {
         "format": FORMAT,
         "version": VERSION if document.is_staged else ONE_THING,
         "field": {"name": field_name, "bounds": field.bounds.tolist()},
         "document": document.to_json("scene" if field_name is None else thing_name(field_name)),
     } | ({} if history is None else {"history": history})
+    if exports:
+        content["exports"] = [dataclasses.asdict(export) for export in exports]
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
 
@@ -91,8 +134,9 @@ def read_session(path: PathLike, field: AnyField | None = None) -> Document:
     return read_kept(path, field)[0]
 
 
-def read_kept(path: PathLike, field: AnyField | None = None) -> tuple[Document, Any]:
-    """As `read_session`, and what the file holds of its steps, see `read_history`; None where it holds nothing."""
+def read_kept(path: PathLike, field: AnyField | None = None) -> tuple[Document, Any, tuple[Export, ...]]:
+    """As `read_session`, what the file holds of its steps, see `read_history`, None where it holds nothing, and its
+    exports."""
     path = require_file(path, "session file")
     try:
         content: Any = read_json(path, "session file")
@@ -106,7 +150,8 @@ def read_kept(path: PathLike, field: AnyField | None = None) -> tuple[Document, 
         if field is not None and content["field"]["bounds"] != field.bounds.tolist():
             name = listed([str(content["field"].get("name"))])
             raise InputError(f"it belongs to another field, {name}, with other bounds")
-        return _named(Document.from_json(content["document"]), content), content.get("history")
+        document = _named(Document.from_json(content["document"]), content)
+        return document, content.get("history"), read_exports(content.get("exports"))
     except DAMAGED as error:
         raise InputError(f"{path}: {damage('session file', error)}") from None
     except ValueError as error:
@@ -152,6 +197,7 @@ class Session:
         scene_scale: float = 1.0,
         history: History | None = None,
         lost: str | None = None,  # see `read_history`, as of the history
+        exports: tuple[Export, ...] = (),
     ):
         self.fields = Fields.of(field)
         self.field = self.fields.main  # that the session is of
@@ -160,6 +206,7 @@ class Session:
         self.field_path = None if field_path is None else pathlib.Path(field_path)
         self.path = None if path is None else pathlib.Path(path)  # changes where a program wrote there: not saved over
         self.history = history or History()
+        self.exports = exports  # what was written into the folder and is still there, the oldest first
         self.lost = lost  # what became of steps that the file held, for the first page
         self.notify: Callable[[str], None] = lambda text: None  # told what somebody should know who works here
         self.saved: str | None = None  # when it was saved last, ISO 8601
@@ -169,7 +216,8 @@ class Session:
         self._steps = 0
         self._saving = threading.Lock()
         self._stamp = stamp
-        self._on_disk: tuple[Document | None, int] = (None if stamp is None or lost else document, 0)
+        self._on_disk: tuple[Document | None, int, tuple[Export, ...]]
+        self._on_disk = None if stamp is None or lost else document, 0, exports
         if stamp is not None:
             self.saved = _iso(datetime.datetime.fromtimestamp(stamp[0] / 1e9))
 
@@ -409,9 +457,10 @@ class Session:
     @property
     def unsaved(self) -> bool:
         """Whether the session's file is behind the document, but for a gesture under way."""
-        kept, document = self._on_disk[0], self.settled
+        (kept, _, exports), document = self._on_disk, self.settled
         return self.path is not None and not (
             kept is not None
+            and exports == self.exports
             and all(getattr(kept, part) is getattr(document, part) for part in ("edits", "timeline"))
             and all(
                 getattr(kept, part) == getattr(document, part)
@@ -434,19 +483,20 @@ class Session:
         with self._saving:
             if self.path is None:
                 return
-            steps, document = self._steps, self.settled
+            steps, document, exports = self._steps, self.settled, self.exports
             try:
                 stamp = file_stamp(self.path)
                 if stamp is not None and stamp != self._stamp:  # another program's: ours goes beside it
                     self.path, self._stamp = free_session_path(self.path), None
                 name = self.field_path.name if self.field_path else None
-                write_session(self.path, document, self.field, name, self.history.to_json(document, self.fields))
+                history = self.history.to_json(document, self.fields)
+                write_session(self.path, document, self.field, name, history, exports)
             except Exception as error:
                 if not isinstance(error, OSError | ValueError | MemoryError):
                     _log.exception("the session could not be saved")
                 self.save_error = error_line(error, MAX_LINE, folders=False)
                 return
-            self._stamp, self._on_disk, self.save_error = file_stamp(self.path), (document, steps), None
+            self._stamp, self._on_disk, self.save_error = file_stamp(self.path), (document, steps, exports), None
             self.saved = _iso(datetime.datetime.now())
 
 
@@ -507,7 +557,7 @@ def _same(one: Document, two: Document) -> bool:
 
 def _same_film(one: Timeline, two: Timeline) -> bool:
     return (
-        (one.length, one.fps, one.loop) == (two.length, two.fps, two.loop)
+        all(getattr(one, name) == getattr(two, name) for name in ("length", "fps", "loop", "follows_keys"))
         and len(one.keys) == len(two.keys)
         and all(a is b for a, b in zip(one.keys, two.keys, strict=True))
     )

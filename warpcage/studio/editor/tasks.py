@@ -1,19 +1,14 @@
-"""Work that takes a while, beside the session: jobs with progress that can be cancelled."""
+"""What a session does with files, and work that takes a while, as jobs beside it."""
 
 from __future__ import annotations
 
 import asyncio
-import collections
 import concurrent.futures
 import contextlib
-import dataclasses
 import functools
-import logging
 import os
 import pathlib
-import re
 import threading
-import time
 import urllib.parse
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -22,10 +17,8 @@ import numpy as np
 
 from ...cage.cage import Cage
 from ...cage.up_axis import UpAxis, load_standing
-from ...core.files import atomic_path
-from ...core.names import counted, error_line
+from ...core.names import counted
 from ...errors import InputError
-from ...mesh.io import ENDINGS
 from ...render.surface_mesh import SurfaceMesh
 from ...select.selection import NodeSelection, visible_mask
 from ...splats.io import SPLAT_ENDINGS
@@ -35,229 +28,14 @@ from .checks import checked_between, checked_choice, checked_flag, checked_id, c
 from .commands import Step
 from .document import Document
 from .exports import requested_film
-from .session import ENDING, Session, Stamp, file_stamp
+from .session import ENDING, MOST_EXPORTS, Export, Session, Stamp, file_stamp
 from .steps.losses import losses
 from .things import ThingTasks, clicked
-
-#: Jobs that are kept, finished ones included, and jobs that may wait or run at once.
-MAX_JOBS, MAX_UNFINISHED = 40, 12
-
-#: Letters of a failed job's line, and of what a job says of its progress.
-MAX_TEXT = 400
+from .work.jobs import Cancelled, Jobs, Outcome, Progress
+from .work.uploads import LOADABLE, MAX_NAME_BYTES, Uploads, shown
 
 #: Share of what is visible below which a click may have met a scrap of the object that was meant.
 SMALL_SHARE = 0.005
-
-_log = logging.getLogger(__name__)
-
-
-class Cancelled(Exception):
-    """Raised inside a job's work, at its next sign of progress, once somebody has cancelled the job."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Outcome:
-    """What a job leaves: a line, and the address of the file that it wrote, if any."""
-
-    text: str | None = None
-    download: str | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Job:
-    """A job as pages see it."""
-
-    id: int  # that no other job of the session has had
-    name: str
-    share: float | None = None  # how much of it is done, 0 to 1; None is not known
-    text: str = ""  # what is done right now
-    state: str = "running"  # "running" (or waiting for others of its kind), "done", "failed" or "cancelled"
-    download: str | None = None  # address of the file that came of it
-    result: str | None = None  # what came of it or went wrong, in one line
-
-
-class Progress:
-    """What a job's work calls between its steps; `report` takes share and text of what has changed."""
-
-    def __init__(self, report: Callable[[float | None, str], None]):
-        self._report = report
-        self._cancelled = threading.Event()
-
-    def __call__(self, share: float | None, text: str = "") -> None:
-        """Say how far the work is, 0 to 1 (None is not known), and what is done next; raises Cancelled if the job was.
-        Work lets it pass, after it has removed what is half written."""
-        if self._cancelled.is_set():
-            raise Cancelled
-        self._report(None if share is None else min(max(float(share), 0.0), 1.0), text[:MAX_TEXT])
-
-    def cancel(self) -> None:
-        """Make the next call raise."""
-        self._cancelled.set()
-
-    @property
-    def cancelled(self) -> bool:
-        """Whether the job was cancelled."""
-        return self._cancelled.is_set()
-
-
-#: What a job does.
-Work = Callable[[Progress], Outcome | None]
-
-
-class Jobs:
-    """Jobs of a session, one at a time of each kind. All methods may be called from any thread.
-    `listener` is called after each change, from the thread that made it."""
-
-    def __init__(self, listener: Callable[[], None] = lambda: None):
-        self._listener = listener
-        self._lock = threading.Lock()
-        self._jobs: dict[int, Job] = {}
-        self._progress: dict[int, Progress] = {}  # of jobs that are not finished
-        self._waiting: dict[str, collections.deque[tuple[int, Work]]] = {}  # by kind, while it has a thread
-        self._threads: list[threading.Thread] = []
-        self._next, self._closed = 1, False
-
-    def start(self, name: str, kind: str, work: Work) -> int:
-        """Begin a job in a thread, or let it wait for those of its kind that came before; returns its number."""
-        with self._lock:
-            if self._closed:
-                raise InputError("the session is closing: nothing new is begun")
-            if len(self._progress) >= MAX_UNFINISHED:
-                raise InputError(f"{MAX_UNFINISHED} jobs are unfinished already: cancel one, or wait")
-            number = self._next
-            self._next += 1
-            self._jobs[number] = Job(number, name)
-            self._progress[number] = Progress(lambda share, text: self._change(number, share=share, text=text))
-            for old in [old for old in self._jobs if old not in self._progress]:
-                if len(self._jobs) > MAX_JOBS:
-                    del self._jobs[old]
-            if kind in self._waiting:
-                self._jobs[number] = dataclasses.replace(self._jobs[number], text="waits for the one before")
-                self._waiting[kind].append((number, work))
-            else:
-                self._waiting[kind] = collections.deque([(number, work)])
-                thread = threading.Thread(target=self._run_kind, args=(kind,), name=f"warpcage {kind}", daemon=True)
-                self._threads = [one for one in self._threads if one.is_alive()] + [thread]
-                thread.start()
-        self._tell()
-        return number
-
-    def section(self) -> list[dict[str, Any]]:
-        """The jobs as pages see them, the oldest first: dictionaries of the fields of Job."""
-        with self._lock:
-            return [dataclasses.asdict(job) for job in self._jobs.values()]
-
-    def job(self, number: int) -> Job:
-        """A job by its number. Raises ValueError where there is none."""
-        with self._lock:
-            return self._job(number)
-
-    def cancel(self, number: int) -> None:
-        """Ask a job to stop: one that waits does at once, one that runs at its next sign of progress."""
-        with self._lock:
-            job = self._job(number)
-            if number not in self._progress:
-                return
-            self._progress[number].cancel()
-            for queue in self._waiting.values():
-                for entry in [entry for entry in queue if entry[0] == number]:
-                    queue.remove(entry)
-                    self._finish(number, state="cancelled", text="")
-                    break
-            if number in self._progress:
-                self._jobs[number] = dataclasses.replace(job, text="is being cancelled")
-        self._tell()
-
-    def clear(self, number: int) -> None:
-        """Forget a finished job."""
-        with self._lock:
-            if self._job(number).state == "running":
-                raise InputError("the job is still running: cancel it first")
-            del self._jobs[number]
-        self._tell()
-
-    def close(self, timeout: float = 10.0) -> bool:
-        """Cancel all jobs, begin none, and wait so many seconds for their threads; returns whether all have ended."""
-        with self._lock:
-            self._closed = True
-            numbers = list(self._progress)
-        for number in numbers:
-            self.cancel(number)
-        return self.wait(timeout)
-
-    def wait(self, timeout: float) -> bool:
-        """Wait, so many seconds at most, until no job is left to run; returns whether all threads have ended."""
-        end = time.monotonic() + timeout
-        with self._lock:
-            threads = list(self._threads)
-        for thread in threads:
-            thread.join(max(0.0, end - time.monotonic()))
-        return not any(thread.is_alive() for thread in threads)
-
-    def _job(self, number: int) -> Job:
-        if number not in self._jobs:
-            raise InputError(f"there is no job {number!r}: it may have been cleared")
-        return self._jobs[number]
-
-    def _run_kind(self, kind: str) -> None:
-        """Run the jobs of a kind until none is left."""
-        while True:
-            with self._lock:
-                queue = self._waiting[kind]
-                if not queue:
-                    del self._waiting[kind]
-                    return
-                number, work = queue.popleft()
-                progress = self._progress[number]
-                self._jobs[number] = dataclasses.replace(self._jobs[number], text="")
-            self._run(number, work, progress)
-
-    def _run(self, number: int, work: Work, progress: Progress) -> None:
-        try:
-            outcome = work(progress) or Outcome()
-            changes = {"state": "done", "share": 1.0, "result": outcome.text, "download": outcome.download}
-        except Cancelled:
-            changes = {"state": "cancelled"}
-        except (ValueError, OSError, MemoryError) as error:  # what a person's input or machine can cause
-            changes = {"state": "failed", "result": error_line(error, MAX_TEXT)}
-        except BaseException as error:  # also what calls itself an exit: it would be lost in a thread
-            _log.exception("job %s failed", number)
-            changes = {"state": "failed", "result": error_line(error, MAX_TEXT, named=True)}
-        with self._lock:
-            self._finish(number, text="", **changes)
-        self._tell()
-
-    def _finish(self, number: int, **changes: Any) -> None:
-        """Note how a job ended. Needs the lock."""
-        del self._progress[number]
-        self._jobs[number] = dataclasses.replace(self._jobs[number], **changes)
-
-    def _change(self, number: int, share: float | None, text: str) -> None:
-        """Note how far a job is, and tell of it where a page would show the difference."""
-        with self._lock:
-            before = self._jobs[number]
-            self._jobs[number] = dataclasses.replace(before, share=share, text=text)
-        if text != before.text or _percent(share) != _percent(before.share):
-            self._tell()
-
-    def _tell(self) -> None:
-        try:
-            self._listener()
-        except Exception:  # the work goes on whether or not somebody hears of it
-            _log.exception("a listener of jobs failed")
-
-
-def _percent(share: float | None) -> int | None:
-    return None if share is None else int(100 * share)
-
-
-#: Endings of files that pages may load, and what is in them.
-LOADABLE = {
-    ".npz": "field",
-    **{pathlib.Path(f"x{ending}").suffix: "field" for ending in SPLAT_ENDINGS if ending},
-    **dict.fromkeys(ENDINGS, "cage"),
-    ".json": "poses",
-}
 
 #: What can be exported, and the endings of its files.
 EXPORTS = {
@@ -276,9 +54,6 @@ FILMS = ("mp4", "gif", "mov", "webm", "png")
 
 #: Files that are listed at most.
 MAX_FILES = 1000
-
-#: Bytes of an uploaded file's name.
-MAX_NAME_BYTES = 120
 
 #: Vertices that a cage may be made with.
 COUNTS = (8, 2000)
@@ -301,11 +76,14 @@ class Tasks:
 
     def __init__(self, session: Session, jobs: Jobs, folder: pathlib.Path, loop: asyncio.AbstractEventLoop):
         self.session, self.jobs, self.folder, self.loop = session, jobs, folder, loop
-        self._made: dict[str, Stamp | None] = {}  # files that the editor wrote, by name
-        self._naming, self._closed = threading.Lock(), threading.Event()
+        self._made: dict[str, Stamp | None] = {}  # files that this editor wrote, by name, and may replace
+        self.uploads = Uploads(folder, self.path_of)
+        self._noting, self._closed = threading.Lock(), threading.Event()
         self.field_path = session.field_path
+        self._list_exports()
         self.commands: dict[str, Callable[[dict[str, Any]], Any]] = {  # what `handle` carries out, by `do`
             "files": self._files,
+            "upload.drop": lambda message: self.uploads.drop(message["file"]),
             "cage.generate": self._generate,
             "cage.simplify": self._simplify,
             "cage.load": self._load_cage,
@@ -315,7 +93,7 @@ class Tasks:
             "export": self._export,
             "export.command": self._export_command,
             "job.cancel": lambda message: self.jobs.cancel(checked_id(message["id"], "the number of a job")),
-            "job.clear": lambda message: self.jobs.clear(checked_id(message["id"], "the number of a job")),
+            "job.clear": self._clear_job,
             **ThingTasks(self).commands,
         }
 
@@ -343,7 +121,7 @@ class Tasks:
     def download(self, name: str) -> pathlib.Path | None:
         """The path of a file that the editor made, by its name; None where there is no such file."""
         with contextlib.suppress(ValueError, OSError):
-            if name in self._made and (path := self.path_of(name)).is_file():
+            if name in [export.name for export in self.session.exports] and (path := self.path_of(name)).is_file():
                 return path
         return None
 
@@ -358,21 +136,36 @@ class Tasks:
 
         return {"files": await self.read(look)}
 
-    def keep_upload(self, name: str, content: bytes) -> str:
-        """Write an uploaded file into the session's folder, where it replaces none; returns the name that it got."""
-        plain = re.sub(r"[^\w.\- ]", "_", pathlib.PurePosixPath(name.replace("\\", "/")).name).lstrip(". ")
-        stem, ending = os.path.splitext(plain)
-        if ending.lower() not in LOADABLE or plain.lower().endswith(ENDING):
-            raise InputError(f"{plain[:100]!r} is not a cage, pose or scene file; takes {' '.join(LOADABLE)}")
-        stem = stem.encode()[:MAX_NAME_BYTES].decode(errors="ignore")
-        with self._naming:  # two pages may send files of one name
-            number, path = 1, self.path_of(stem + ending)
-            while os.path.lexists(path):
-                number += 1
-                path = self.path_of(f"{stem}-{number}{ending}")
-            with atomic_path(path) as temporary:
-                temporary.write_bytes(content)
-        return path.name
+    def note(self, path: pathlib.Path, text: str) -> Outcome:
+        """Note a file or folder that was just written, with a line of what it is; returns what its job leaves."""
+        with self._noting:
+            if path.is_file():
+                self._made[path.name] = file_stamp(path)
+            others = [export for export in self.session.exports if export.name != path.name]
+            self.session.exports = (*others, Export.of(path, text))[-MOST_EXPORTS:]
+        return _outcome(path, text)
+
+    def note_done(self, path: pathlib.Path, text: str) -> dict[str, str | None]:
+        """`note`, for what needed no job: it is listed as one. Returns the reply to the page."""
+        outcome = self.note(path, text)
+        self.jobs.add(_title(path.name), outcome)
+        return {"download": outcome.download}
+
+    def _list_exports(self) -> None:
+        """List what earlier runs wrote and what is still there."""
+        for export in self.session.exports:
+            with contextlib.suppress(ValueError, OSError):  # a name that leads elsewhere by now
+                if export.is_there(path := self.path_of(export.name)):
+                    self.jobs.add(_title(export.name), _outcome(path, export.text))
+
+    def _clear_job(self, message: dict[str, Any]) -> None:
+        """Take a job off the list, for good with what it wrote."""
+        job = self.jobs.job(checked_id(message["id"], "the number of a job"))
+        self.jobs.clear(job.id)
+        if all(other["name"] != job.name for other in self.jobs.section()):
+            with self._noting:
+                exports = self.session.exports
+                self.session.exports = tuple(export for export in exports if _title(export.name) != job.name)
 
     # -- Cages
 
@@ -418,7 +211,7 @@ class Tasks:
 
     async def _load_cage(self, message: dict[str, Any]) -> None:
         """A cage from a file, for an edit or as a new one."""
-        path, number = self.path_of(message["file"]), message.get("edit")
+        path, number = self.uploads.find(message["file"]), message.get("edit")
         field, thing = self.session.active_field, self.session.document.selection.thing
         up = _axis(message, "up", ("y", "z"))
         if number is not None:
@@ -426,15 +219,17 @@ class Tasks:
 
         def load() -> tuple[Cage, UpAxis]:
             cage, standing = load_standing(Cage, path, up=up, reference=field, anywhere=True)
-            cage.require_usable(f"cage {path.name!r}")
+            cage.require_usable(f"cage {shown(path.name)!r}")
             return cage, standing
 
         cage, standing = await self.read(load)
-        await self.change(lambda document: commands.with_cage(document, number, cage, _loaded(path, standing), thing))
+        with self.uploads.taken(path) as kept:
+            label = _loaded(kept, standing)
+            await self.change(lambda document: commands.with_cage(document, number, cage, label, thing))
 
     async def _load_pose(self, message: dict[str, Any]) -> None:
         """A posed cage from a file, in any order that `Cage.match` takes."""
-        path = self.path_of(message["file"])
+        path = self.uploads.find(message["file"])
         edit = self.session.document.edit(message.get("edit", self.session.document.selection.edit))
         up = _axis(message, "up", ("y", "z"))
         loaded, standing = await self.read(lambda: load_standing(Cage, path, up=up, reference=edit.rest_cage))
@@ -442,22 +237,25 @@ class Tasks:
         def pose(document: Document) -> Step:
             now = document.edit(edit.id)
             content = {"edit": now.id, "vertices": now.rest_cage.match(loaded).vertices}
-            return _loaded(path, standing), commands.set_pose(document, content)[1]
+            return _loaded(kept, standing), commands.set_pose(document, content)[1]
 
-        await self.change(pose)
+        with self.uploads.taken(path) as kept:
+            await self.change(pose)
 
     async def _load_poses(self, message: dict[str, Any]) -> None:
-        path = self.path_of(message["file"])
+        path = self.uploads.find(message["file"])
         document = self.session.document
         number = document.edit(message.get("edit", document.selection.edit)).id
-        await self.change(lambda document: (f"load {path.name}", timeline.load_poses(document, number, str(path))))
+        await self.read(lambda: timeline.load_poses(document, number, str(path)))  # taken once it was read
+        with self.uploads.taken(path) as kept:
+            await self.change(lambda now: (f"load {kept.name}", timeline.load_poses(now, number, str(kept))))
 
-    async def _save_poses(self, message: dict[str, Any]) -> dict[str, str]:
+    async def _save_poses(self, message: dict[str, Any]) -> dict[str, str | None]:
         path = self.free_path(message["file"], (".json",))
         document = self.session.document
         number = document.edit(message.get("edit", document.selection.edit)).id
         await self.read(lambda: timeline.pose_file(document, number).save(self.free_path(path.name, (".json",))))
-        return {"download": self.note(path)}
+        return self.note_done(path, path.name)
 
     # -- Exports
 
@@ -498,11 +296,9 @@ class Tasks:
             else:
                 exports.export_poses(document, number, path)
                 text = path.name
-            if path.is_dir():
-                return Outcome(f"{text}, in {path}")
-            return Outcome(text, self.note(path))
+            return self.note(path, text)
 
-        return self.jobs.start(f"Write {path.name}", "film" if film or what == "bake" else "file", work)
+        return self.jobs.start(_title(path.name), "film" if film or what == "bake" else "file", work)
 
     async def _export_command(self, message: dict[str, Any]) -> dict[str, str]:
         """The command line that makes the film of the session as it is, which is saved for it."""
@@ -519,11 +315,6 @@ class Tasks:
             session.path, self.field_path, film, output=output, scene_scale=session.scene_scale
         )
         return {"command": line}
-
-    def note(self, path: pathlib.Path) -> str:
-        """Note that the editor wrote a file. Returns its address."""
-        self._made[path.name] = file_stamp(path)
-        return f"download/{urllib.parse.quote(path.name)}"
 
     async def read(self, read: Callable[[], Result]) -> Result:
         """Work with files, in another thread so that pages are served meanwhile."""
@@ -574,6 +365,18 @@ class Tasks:
                     return done.result()  # it came just now, or is a TimeoutError of the function itself
                 if self._closed.is_set():
                     done.cancel()  # the loop may have ended
+
+
+def _title(name: str) -> str:
+    """What the job that writes a file is called."""
+    return f"Write {name}"
+
+
+def _outcome(path: pathlib.Path, text: str) -> Outcome:
+    """What writing a file leaves: a line, and its address; of a folder, where it is."""
+    if path.is_dir():
+        return Outcome(f"{text}, in {path}")
+    return Outcome(text, f"download/{urllib.parse.quote(path.name)}")
 
 
 def _loaded(path: pathlib.Path, standing: UpAxis) -> str:

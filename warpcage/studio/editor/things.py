@@ -14,7 +14,7 @@ import numpy as np
 from ...cage.cage import Cage
 from ...core.arrays import box_corners
 from ...core.checks import listed
-from ...core.names import Easing
+from ...core.names import Easing, counted
 from ...deform.stage import Stage
 from ...edits.edits import CageEdit
 from ...edits.place import Place, PlaceFile, near_turn, seen_from
@@ -346,21 +346,23 @@ class ThingTasks:
     async def _add(self, message: dict[str, Any]) -> None:
         """Another field or mesh of the session's folder, in its own place or a given one."""
         tasks, session = self._tasks, self._tasks.session
-        path, place = tasks.path_of(message["file"]), checked_place(message.get("place", {}))
+        path, place = tasks.uploads.find(message["file"]), checked_place(message.get("place", {}))
         beside = checked_flag(message.get("beside", False), "beside")
-        name = checked_name(message.get("name") or path.name.split(".")[0])
+        name = checked_name(message.get("name") or message["file"].split(".")[0])
         fields = session.fields
-        if path.name not in fields.files:
-            fields.files[path.name] = await tasks.read(lambda: load_thing(path, device=session.field.device))
-        added = fields.files[path.name]
+        added = fields.files.get(path.name)
+        if added is None:
+            added = await tasks.read(lambda: load_thing(path, device=session.field.device))
 
         def add(document: Document) -> Step:
             where = place_beside(document, fields, added) if beside else place
-            return with_new_thing(document, name, path.name, where)
+            return with_new_thing(document, name, kept.name, where)
 
-        await tasks.change(add)
+        with tasks.uploads.taken(path) as kept:
+            fields.files[kept.name] = added
+            await tasks.change(add)
 
-    async def _save(self, message: dict[str, Any]) -> dict[str, str]:
+    async def _save(self, message: dict[str, Any]) -> dict[str, str | None]:
         """Write the scene as a stage file."""
         tasks, session, document = self._tasks, self._tasks.session, self._tasks.session.document
         if session.scene_scale != 1.0:
@@ -374,7 +376,7 @@ class ThingTasks:
             stage_of(document, session.fields, session.field_path, tasks.folder).save(path)
 
         await tasks.read(save)
-        return {"download": tasks.note(path)}
+        return tasks.note_done(path, f"{path.name}: a scene of {counted(len(document.things), 'object')}")
 
 
 def require_alone(document: Document, what: str) -> None:

@@ -216,7 +216,7 @@ def with_camera_moves(document: Document, words: str, seen: Sequence[Camera]) ->
     by keys in the place of its own; and one line of what held it back, or "". seen: cameras of the pictures."""
     film, view, moves = document.timeline, document.view, camera_moves(checked_name(words))
     if moves is None:
-        raise InputError(f"camera {words!r} is no move: {MOVE_HELP}")
+        raise InputError(f"camera {words!r} is not a move: {MOVE_HELP}")
     closes = any(move.kind == "turn" and (move.amount or 360.0) % 360.0 == 0.0 for move in moves)
     frames = max(1, round(film.length * film.fps))
     pivot, up = np.array(view.target), np.array(view.up)

@@ -21,6 +21,7 @@ from ....core.names import error_line
 from ....errors import InputError
 from ..checks import MAX_LINE
 from ..tasks import Tasks
+from ..work.uploads import shown
 
 #: What a page may do: run our own modules, show pictures made of bytes, talk to us. It may be shown in a notebook.
 HEADERS = {
@@ -171,10 +172,11 @@ class Files:
         try:
             async with self._uploads:
                 name, content = await self._received(request)
-                keep = self._tasks.keep_upload
-                kept = await asyncio.get_running_loop().run_in_executor(None, keep, name, content)
+                keep, page = self._tasks.uploads.keep, request.query.get("page", "")
+                owner = int(page) if page.isdecimal() else None
+                kept = await asyncio.get_running_loop().run_in_executor(None, keep, name, content, owner)
         except BROKEN as error:
-            raise web.HTTPBadRequest(text=error_line(error, MAX_LINE, folders=False)) from None
+            raise web.HTTPBadRequest(text=shown(error_line(error, MAX_LINE, folders=False))) from None
         return web.json_response({"file": kept})
 
     async def _received(self, request: web.Request) -> tuple[str, bytes]:

@@ -136,6 +136,22 @@ export async function confirmThat(title, question, confirm) {
   return (await askFor({ title, text: question, fields: [], confirm })) !== null;
 }
 
+/** Copies a text; pages of plain http have no clipboard of their own. */
+export async function copyText(content) {
+  try {
+    await navigator.clipboard.writeText(content);
+  } catch {
+    const area = el("textarea");
+    area.style.position = "fixed"; // nothing moves for it
+    area.value = content;
+    (document.querySelector("dialog") ?? document.body).append(area);
+    area.select();
+    document.execCommand("copy");
+    area.remove();
+  }
+  toast("Copied.");
+}
+
 /** Shows a text that can be copied. */
 export function showText(title, intro, content) {
   const area = el("textarea", { id: "dialog-text", readonly: true, rows: 4, "aria-label": title, spellcheck: "false" });
@@ -146,15 +162,7 @@ export function showText(title, intro, content) {
     icon: "copy",
     keep: true,
     kind: "primary",
-    onClick: async () => {
-      area.select();
-      try {
-        await navigator.clipboard.writeText(content);
-      } catch {
-        document.execCommand("copy"); // pages of plain http have no clipboard of their own
-      }
-      toast("Copied.");
-    },
+    onClick: () => copyText(content),
   });
   const body = el("div", { class: "dialog-body" }, el("p", {}, intro), area);
   const done = button({ label: "Close", title: "Close (Escape)", onClick: () => opened.close() });

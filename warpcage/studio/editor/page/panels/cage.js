@@ -1,7 +1,7 @@
 // The cage of the active edit: where it comes from, its fineness, and what the live check finds.
 
 import { activeEdit, selectedVertices, store, withActiveEdit } from "../core/store.js";
-import { ask, attempt, request } from "../core/connection.js";
+import { ask, attempt, request, send } from "../core/connection.js";
 import { askFor, toast } from "../core/dialogs.js";
 import { isBrush } from "../tools/brush.js";
 import { counted, keysOf } from "./keys.js";
@@ -149,11 +149,11 @@ async function loadCage(file) {
   return askFor({ title: `Load ${file}`, fields: editField(edit), confirm: "Load", send });
 }
 
-/** Sends a file into the session's folder; its name there, or throws Error(one line). */
+/** Sends a file, which gets into the session's folder once it was read and loaded; its name there, or throws Error(one line). */
 async function uploaded(file) {
   const form = new FormData();
   form.append("file", file, file.name);
-  const answer = await fetch("upload", { method: "POST", body: form, credentials: "same-origin" });
+  const answer = await fetch(`upload?page=${store.status.client}`, { method: "POST", body: form, credentials: "same-origin" });
   const content = await answer.text();
   if (!answer.ok) throw new Error(content.split("\n")[0] || `the upload of ${file.name} failed (${answer.status})`);
   return JSON.parse(content).file;
@@ -169,7 +169,12 @@ export function uploadField(id, label, accept, load) {
     store.setStatus({ doing: `Uploading ${file.name}` });
     const name = await attempt(uploaded(file));
     store.setStatus({ doing: null });
-    if (name) await load(name);
+    if (!name) return;
+    try {
+      await load(name);
+    } finally {
+      send({ do: "upload.drop", file: name }); // nothing where it was loaded: refused or cancelled it is of no use
+    }
   });
   return input;
 }

@@ -44,10 +44,13 @@ const timeOf = (time) => (time < 90 ? about(time, "s") : time < 5400 ? about(tim
 /** The name of a film's file, or of its folder of pictures. */
 const nameOf = ({ file, what }) => file.replace(/\.(mp4|gif|mov|webm)$/i, "") + formatOf(what)[2];
 
+const SIDES = { min: 16, max: 4096 }; // pixels of a film's width and height
+
 /** What a film will take, from the pictures that this page was sent. */
 function estimate(given) {
   const { what, width, height } = given;
-  if (!width || !height) return "A film needs a width and a height.";
+  const isSize = (side) => Number.isInteger(side) && side >= SIDES.min && side <= SIDES.max;
+  if (!isSize(width) || !isSize(height)) return `Width and height are whole numbers from ${SIDES.min} to ${SIDES.max}.`;
   const { frames, loop } = film();
   const ends = loop === "once" && frames > 1 ? " (the first and the last moment are both shown)" : "";
   const { folder = "the session's folder" } = store.sections.session ?? {};
@@ -66,8 +69,8 @@ const sizes = () => {
   const isSlow = store.sections.session?.device === "cpu"; // half a second a picture and more, at full size
   const full = isSlow ? 640 : Math.max(640, width / scale); // pictures are smaller while something moves
   return [
-    { name: "width", label: "Width", type: "number", value: even(full), min: 16, max: 4096, step: 2, unit: "pixels" },
-    { name: "height", label: "Height", type: "number", value: even((full * height) / width), min: 16, max: 4096, step: 2, unit: "pixels" },
+    { name: "width", label: "Width", type: "number", value: even(full), ...SIDES, step: 2, unit: "pixels" },
+    { name: "height", label: "Height", type: "number", value: even((full * height) / width), ...SIDES, step: 2, unit: "pixels" },
   ];
 };
 const overlay = { name: "overlay", label: "Draw the cage", type: "check", value: false };

@@ -2,7 +2,7 @@
 
 import { activeEdit, store } from "../core/store.js";
 import { ask, request } from "../core/connection.js";
-import { askFor, toast } from "../core/dialogs.js";
+import { askFor, copyText, toast } from "../core/dialogs.js";
 import { button, choice, el, followKey, group, icon, listBox, number, row, rows, setText, short, text, titleOf } from "../core/controls.js";
 import { loadFrom, uploadField } from "./cage.js";
 import { EXPORTS, exportFilm } from "./exports.js";
@@ -191,8 +191,13 @@ const jobRows = (place, clearing, clear) => ({ id }) => {
 /** The group of the work that runs or ran: {root, start()}. What runs is shown over the view too, and what came of it. */
 export function jobsGroup() {
   const list = el("ul", { id: "job-list", class: "jobs", "aria-label": "Jobs" });
-  const empty = el("p", { class: "note" }, "No jobs. Cages and exports that take a while are listed here.");
-  const made = group("jobs", "Jobs", false, list, empty);
+  const empty = el("p", { class: "note" }, "No jobs. Cages that take a while and exports are listed here.");
+  const folder = button({ id: "session-folder", label: "", icon: "copy", keep: true, kind: "flat", onClick: () => copyText(store.sections.session.folder) });
+  const made = group("jobs", "Jobs", false, folder, list, empty);
+  const showFolder = ({ folder: path }) => {
+    setText(folder.querySelector("span"), `Folder: ${path.split(/[\\/]/).at(-1) || path}`);
+    folder.title = `Exports and uploads go into ${path}: press to copy that`;
+  };
   const showRows = rows(list, jobRows("job", "Remove from the list", (id) => request({ do: "job.clear", id })));
   const leave = (id) => {
     watched.delete(id);
@@ -215,6 +220,7 @@ export function jobsGroup() {
     before = running;
   };
   const start = () => {
+    store.on("session", showFolder);
     store.on("jobs", show);
     show();
   };

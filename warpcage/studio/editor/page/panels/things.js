@@ -31,7 +31,7 @@ async function add() {
   const { files } = (await request({ do: "thing.files" })) ?? {};
   if (!files) return;
   if (!files.length) {
-    toast("There is no scene file and no mesh in the session's folder: upload one.", "warning");
+    toast("The session's folder has no scene file and no mesh: Upload one, or Duplicate the object.", "warning");
     return;
   }
   const given = await askFor({
@@ -65,7 +65,7 @@ async function saveStage() {
   const given = await askFor({
     title: "Save scene",
     text: "All objects with their positions, cages and poses in one file, which warpcage render, animate, bake and edit open.",
-    fields: [{ name: "file", label: "File", type: "text", value: "scene.stage.json", help: "Is written into the session's folder; must end in .stage.json." }],
+    fields: [{ name: "file", label: "File", type: "text", value: "scene.stage.json", help: `Is written into ${store.sections.session.folder}; must end in .stage.json.` }],
     confirm: "Save",
     send: ({ file }) => ask({ do: "stage.save", file: nameOf(file) }),
   });

@@ -179,12 +179,12 @@ const clock = (time) => {
 /** Whether the page is connected and the session saved. */
 function connectionText() {
   const { connected, attempts, refused } = store.status;
-  const { saved, save_error: error } = store.sections.session ?? {};
+  const { saved, save_error: error, folder, name } = store.sections.session ?? {};
   if (refused) return ["lost", "Started anew", `${STARTED_ANEW}. What the one before had is saved.`];
   if (!connected) return attempts ? ["lost", "Reconnecting…", "Looking for the editor; your work is saved"] : ["wait", "Connecting…", ""];
   if (error) return ["lost", "Not saved", error];
-  if (!saved) return ["wait", "Saving…", "Saved automatically, beside the scene file"];
-  return ["good", "Saved", `Saved at ${clock(saved)}; this happens automatically, beside the scene file`];
+  if (!saved) return ["wait", "Saving…", "This happens automatically"];
+  return ["good", "Saved", `Saved at ${clock(saved)} as ${folder}/${name}; this happens automatically`];
 }
 
 let lastFrame = null;
@@ -199,7 +199,7 @@ const showStatus = perPicture(() => {
     restTimer = setTimeout(() => ((restTimer = 0), showStatus()), 1200);
   }
   // pictures come when something changes: where nothing does, none a second is no fault
-  const parts = connected && frame ? [waitingFor() ?? (restTimer && fps > 1 ? `${Math.round(fps)} fps` : "at rest")] : [];
+  const parts = connected && frame ? [waitingFor() ?? (restTimer && fps > 1 ? `${Math.round(fps)} fps` : frame.sharp ? "at rest" : "preview")] : [];
   if (connected && latency) parts.push(`${Math.round(latency)} ms`);
   setText(speed, parts.join(" · "));
   if (frame) {

@@ -59,7 +59,7 @@ export function start() {
     root.hidden = !thing || store.sections.playback?.playing || !(isBeyond || outside);
     if (root.hidden) return;
     const where = [isBeyond ? "the view" : "", outside ? `${outside} camera ${outside === 1 ? "key" : "keys"}` : ""];
-    setText(text, `"${thing.name}" is outside ${where.filter(Boolean).join(" and ")}.`);
+    setText(text, `"${thing.name}" is not fully in ${where.filter(Boolean).join(" nor in ")}.`);
     all.hidden = !isBeyond;
     keys.hidden = !outside;
   });

@@ -77,8 +77,13 @@ export function handledBox() {
 
 /** Begins to move the active thing. */
 export function begin(box, label) {
-  hand = { thing: box.id, start: box.posed, before: box.matrix, matrix: box.matrix, label, unsent: false, time: 0 };
-  hand.broken = !send({ do: "place.begin", thing: box.id, label: label.slice(0, 100) });
+  hand = { thing: box.id, start: box.posed, before: box.matrix, matrix: box.matrix, label: label.slice(0, 100), unsent: false, time: 0 };
+  start();
+}
+
+/** Tells the server that the hand moves a thing. */
+function start() {
+  hand.broken = !send({ do: "place.begin", thing: hand.thing, label: hand.label });
 }
 
 /** Takes where the corners of the box should be now; the place goes to the server with the next `flush`. */
@@ -110,7 +115,10 @@ export function end(cancel = false) {
     if (waiting) store.set("things", waiting);
     waiting = null;
   };
-  if (hand.broken) return release();
+  if (hand.broken) {
+    if (!cancel) toast("Not connected to the editor: what was moved meanwhile is left out.", "warning");
+    return release();
+  }
   ask({ do: "place.end", cancel }).then(release, (error) => {
     release();
     if (!error.isLost) toast(error.message, "error");
@@ -122,7 +130,15 @@ guard("things", (content) => {
   if (hand) waiting = content;
   return hand !== null;
 });
-when("lost", () => (hand = waiting = null));
+when("lost", () => {
+  if (hand) hand.broken = true;
+});
+when("hello", () => {
+  waiting = null; // older than what has just come
+  if (!hand) return;
+  start(); // the hand goes on
+  hand.unsent = true;
+});
 
 /** Makes a thing the active one. */
 export function choose(id) {

@@ -1,0 +1,1 @@
+"""Work beside a session: jobs, and the files that pages send."""

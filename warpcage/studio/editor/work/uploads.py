@@ -1,0 +1,171 @@
+"""Files that pages send: hidden in the session's folder until a command has read them and takes them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import re
+import secrets
+import threading
+from collections.abc import Callable, Iterator
+from typing import IO, Any
+
+from ....core.files import file_errors
+from ....errors import InputError
+from ....mesh.io import ENDINGS
+from ....splats.io import SPLAT_ENDINGS
+from ..session import ENDING
+
+#: Endings of files that pages may load, and what is in them.
+LOADABLE = {
+    ".npz": "field",
+    **{pathlib.Path(f"x{ending}").suffix: "field" for ending in SPLAT_ENDINGS if ending},
+    **dict.fromkeys(ENDINGS, "cage"),
+    ".json": "poses",
+}
+
+#: Bytes of an uploaded file's name.
+MAX_NAME_BYTES = 120
+
+#: How the hidden names of an editor's uploads begin, and how that of its lock ends.
+MARK = re.compile(r"\.warpcage-upload-[0-9a-f]{16}-")
+LOCK = "lock"
+
+
+class Uploads:
+    """The uploads of an editor that no command has taken yet. All methods may be called from any thread.
+    `path_of`: gives the path in the folder for a name, which it checks."""
+
+    # They lie in the folder itself, as files beside them may belong to them. A lock says that the editor still runs:
+    # the next one removes what one leaves that was killed.
+
+    def __init__(self, folder: pathlib.Path, path_of: Callable[[Any], pathlib.Path]):
+        self._folder, self._path_of = folder, path_of
+        self._naming = threading.Lock()
+        self._waiting: dict[str, tuple[pathlib.Path, int | None]] = {}  # by the name that they get, with the page's
+        self._lock: IO[bytes] | None = None  # held once there was an upload
+        self._mark = ""
+        _remove_leftovers(folder)
+
+    def keep(self, name: str, content: bytes, page: int | None = None) -> str:
+        """Keep what a page has sent, hidden; returns the name that it gets in the folder, where it replaces none."""
+        plain = re.sub(r"[^\w.\- ]", "_", pathlib.PurePosixPath(name.replace("\\", "/")).name).lstrip(". ")
+        stem, ending = os.path.splitext(plain)
+        if ending.lower() not in LOADABLE or plain.lower().endswith(ENDING):
+            raise InputError(f"{plain[:100]!r} is not a cage, pose or scene file; takes {' '.join(LOADABLE)}")
+        stem = stem.encode()[:MAX_NAME_BYTES].decode(errors="ignore")
+        with self._naming:  # two pages may send files of one name
+            if self._lock is None:
+                self._lock, self._mark = _new_lock(self._folder)
+            kept = self._free_name(stem + ending)
+            path = self._folder / f"{self._mark}{kept}"
+            self._waiting[kept] = path, page
+        try:
+            with file_errors():
+                path.write_bytes(content)
+        except BaseException:
+            self.drop(kept)
+            raise
+        return kept
+
+    def find(self, name: Any) -> pathlib.Path:
+        """The path of a file to read by its name: an upload's that waits, else that in the folder."""
+        waiting = self._waiting.get(name) if isinstance(name, str) else None
+        return self._path_of(name) if waiting is None else waiting[0]
+
+    @contextlib.contextmanager
+    def taken(self, path: pathlib.Path) -> Iterator[pathlib.Path]:
+        """The path that a file which was read keeps: an upload gets its name, and waits again after an error."""
+        name = shown(path.name)
+        if path.name == name:
+            yield path
+            return
+        with self._naming:
+            kept = self._path_of(name if not os.path.lexists(self._path_of(name)) else self._free_name(name))
+            os.rename(path, kept)
+        try:
+            yield kept
+        except Exception:  # not where the command is cut off: the scene may hold the file by then
+            os.rename(kept, path)
+            raise
+        with self._naming:
+            self._waiting.pop(name, None)
+
+    def drop(self, name: Any) -> None:
+        """Remove an upload that nobody wants, where it still waits."""
+        with self._naming:
+            path, _ = self._waiting.pop(name, (None, None)) if isinstance(name, str) else (None, None)
+        if path is not None:
+            path.unlink(missing_ok=True)
+
+    def drop_of(self, page: int) -> None:
+        """Remove the uploads of a page that has gone."""
+        for name in [name for name, (_, owner) in list(self._waiting.items()) if owner == page]:
+            self.drop(name)
+
+    def close(self) -> None:
+        """Remove all that waits; nothing is kept afterwards."""
+        with self._naming:
+            if self._lock is not None:
+                _remove(self._folder, self._mark)
+                self._lock.close()
+            self._lock = None
+            self._waiting.clear()
+
+    def _free_name(self, name: str) -> str:
+        """A name, or with a number, that no file and no other upload has."""
+        stem, ending = os.path.splitext(name)
+        number, free = 1, name
+        while free in self._waiting or os.path.lexists(self._path_of(free)):
+            number += 1
+            free = f"{stem}-{number}{ending}"
+        return free
+
+
+def shown(text: str) -> str:
+    """A text with the names of uploads as people know them."""
+    return MARK.sub("", text)
+
+
+def _new_lock(folder: pathlib.Path) -> tuple[IO[bytes], str]:
+    """A lock that ends with this process, and how the names of its uploads begin."""
+    while True:
+        mark = f".warpcage-upload-{secrets.token_hex(8)}-"
+        path = folder / f"{mark}{LOCK}"
+        file = path.open("xb")
+        _is_locked(file)
+        if path.exists():  # otherwise another editor took it for a leftover just before
+            return file, mark
+        file.close()
+
+
+def _is_locked(file: IO[bytes]) -> bool:
+    """Lock an open file until it is closed; False where another editor has it, or where there are no locks."""
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (ImportError, OSError):
+        return False
+    return True
+
+
+def _remove_leftovers(folder: pathlib.Path) -> None:
+    """Remove the uploads of editors that were killed, known by their locks that nobody holds."""
+    with contextlib.suppress(OSError):  # a folder that cannot be read or written keeps them
+        for path in list(folder.iterdir()):
+            mark = MARK.match(path.name)
+            if mark is None or path.name != f"{mark[0]}{LOCK}" or path.is_symlink() or not path.is_file():
+                continue
+            with path.open("rb") as file:
+                if _is_locked(file):
+                    _remove(folder, mark[0])
+
+
+def _remove(folder: pathlib.Path, mark: str) -> None:
+    """Remove the files whose names begin like this, the lock last."""
+    for path in list(folder.iterdir()):
+        if path.name.startswith(mark) and path.name != f"{mark}{LOCK}":
+            path.unlink(missing_ok=True)
+    (folder / f"{mark}{LOCK}").unlink(missing_ok=True)
