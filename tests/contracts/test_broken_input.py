@@ -93,7 +93,7 @@ def frames(file):
         edit(file, lambda c: c["frames"].append(c["frames"][0]), "frame 3 | listed twice | frame 0"),
         edit(file, lambda c: c.update(frames=[]), "no frames"),
         edit(file, lambda c: c.update(frames=[1]), "frame 0 must be a JSON object"),
-        *((file, cut(share), f"{file} is no JSON file") for share in (0.0, 0.01, 0.5, 0.99)),
+        *((file, cut(share), f"{file} is not a JSON file") for share in (0.0, 0.01, 0.5, 0.99)),
     ]
 
 
@@ -115,10 +115,10 @@ CAMERAS = {
         *frames("transforms_train.json"),
         edit("transforms_train.json", lambda c: c.update(camera_angle_x=0.0), "camera_angle_x"),
         edit("transforms_train.json", lambda c: c.update(fl_x=9.0, w=24, h=21), "24x21 pixels"),
-        ("transforms_train.json", instead(b"\xff\xfe{"), "no JSON file"),
-        ("transforms_train.json", instead(b"[" * 100000), "no JSON file"),
+        ("transforms_train.json", instead(b"\xff\xfe{"), "not a JSON file"),
+        ("transforms_train.json", instead(b"[" * 100000), "not a JSON file"),
         ("transforms_train.json", instead(b"[1]"), "must hold a JSON object"),
-        ("transforms_train.json", instead(b"{}"), "no scene of a known format"),
+        ("transforms_train.json", instead(b"{}"), "not a scene of a known format"),
     ],
     "transforms": [
         *frames("transforms.json"),
@@ -185,7 +185,7 @@ CAMERAS = {
         (f"{MODEL}cameras.txt", instead("1 PINHOLE 24\n"), "CAMERA_ID MODEL WIDTH HEIGHT PARAMS expected"),
         (f"{MODEL}images.txt", instead("1 1 0 0 0\n"), "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME expected"),
         (f"{MODEL}points3D.txt", instead("1 0 0\n"), "POINT3D_ID X Y Z expected"),
-        (f"{MODEL}images.txt", instead(b"\xff\xfe{"), "images.txt is no text file"),
+        (f"{MODEL}images.txt", instead(b"\xff\xfe{"), "images.txt is not a text file"),
     ],
     "colmap binary": [
         row
@@ -234,7 +234,7 @@ CAMERAS = {
         ("reconstruction.json", swap('[{"cameras"', '{"cameras": [], "x": [{"cameras"'), "JSON"),
     ],
     "metashape": [
-        ("cameras.xml", swap("</chunk>", ""), "is no XML file"),
+        ("cameras.xml", swap("</chunk>", ""), "is not an XML file"),
         ("cameras.xml", swap('<scale locked="true">1.0', "<scale>-1.0"), "above zero"),
         ("cameras.xml", swap("<transform>", "<transform>nan "), "not finite"),
         ("cameras.xml", swap("<transform>", "<transform>1 "), "must hold 16 numbers, got 17"),

@@ -177,7 +177,7 @@ class CageReport:
             offender_row("intersecting faces", self.intersecting_faces, "move vertices apart: the picture tears there"),
             offender_row("unused vertices", self.unused_vertices, "harmless: kept so that poses match one to one"),
         ]
-        for what, share in (("mesh vertices", self.mesh_enclosed), ("visible matter", self.field_enclosed)):
+        for what, share in (("mesh vertices", self.mesh_enclosed), ("the visible object", self.field_enclosed)):
             if share is not None:
                 advice = "" if share == 1.0 else f"{outside_text(share)}; move the cage outward there"
                 advice = "not known before the cage is repaired" if self.problem else advice

@@ -402,7 +402,7 @@ def read_motion(
     if moving is not None:
         return moving
     if name:
-        raise InputError(f"{str(path)!r}: there is no animation or shape {name!r}: nothing moves in it")
+        raise InputError(f"{str(path)!r}: there is no animation or shape key {name!r}: the file has no motion")
     return PoseFile(rest, {path.stem: Cage.load(path, up=up, reference=rest)})
 
 

@@ -172,9 +172,14 @@ def kind_seen(path: pathlib.Path) -> str:
     return next(named, "another kind of file")
 
 
-def seen_note(path: PathLike) -> str:
-    """What a refused file looks like, to follow what is taken; empty where there is no file."""
-    return f", this looks like {kind_seen(pathlib.Path(path))}" if pathlib.Path(path).is_file() else ""
+def seen_note(path: PathLike, asked: str = "") -> str:
+    """What a refused file looks like, to follow what is taken; empty where there is none, or a damaged one of the kind
+    that was asked for."""
+    path = pathlib.Path(path)
+    if path.is_dir():
+        return ", this is a folder"
+    kind = kind_seen(path) if path.is_file() else asked
+    return f", this looks like {kind}" if kind != asked else ""
 
 
 def _members(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:

@@ -192,7 +192,7 @@ class SampledBackend(VoxelBackend):
 
     def __init__(self, field: SampledField, edits: list[CageEdit], options: MapOptions):
         if any(edit.falloff > 0.0 or edit.fragments > 0.0 for edit in edits):
-            raise InputError("falloff and fragments of an edit are for voxels: a SampledField does not know its matter")
+            raise InputError("falloff and fragments of an edit are for voxels, not for a SampledField")
         Backend.__init__(self, field, edits, options)
         self.bands = list[FalloffBand | None]([None] * len(edits))
         self._carried = []

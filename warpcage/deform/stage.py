@@ -152,12 +152,12 @@ class Stage(HeldOnDevice):
                 Deformer on another device.
         """
         if not isinstance(name, str) or not name.strip():
-            raise InputError(f"a thing of a stage needs a name, got {name!r}")
+            raise InputError(f"an object of a stage needs a name, got {name!r}")
         if name in self.items:
-            raise InputError(f"the stage has a thing {name!r} already: remove it first, or take another name")
+            raise InputError(f"the stage has an object {name!r} already: remove it first, or take another name")
         places = as_places(place)
         if not isinstance(thing, VoxelField | SplatField | SurfaceMesh | Deformer):
-            path = require_file(checked_path(thing, "a thing of a stage"), "field file")
+            path = require_file(checked_path(thing, "an object of a stage"), "field file")
             thing = load_thing(path, device=self.device)
         self.items[name] = StageItem(self._here(name, thing), places, None if path is None else pathlib.Path(path))
         return self
@@ -340,7 +340,7 @@ class Stage(HeldOnDevice):
         Raises:
             ValueError: For another ending, an empty stage, or a field whose file is not known.
         """
-        path = checked_path(path, "the stage file")
+        path = checked_path(path, "the scene file")
         folder = path.absolute().parent
         write_stage_file(path, (_item_json(name, item, folder) for name, item in self.items.items()))
 
@@ -359,7 +359,7 @@ class Stage(HeldOnDevice):
             FileNotFoundError: If the file, or one that it names, is not there.
             ValueError: What is wrong in which file.
         """
-        path, stage = require_file(path, "stage file"), cls(device=resolve_device(device))
+        path, stage = require_file(path, "scene file"), cls(device=resolve_device(device))
         for entry in read_stage_file(path):
             thing: Thing = load_thing(path.parent / entry["field"], device=stage.device)
             if "deformation" in entry:
@@ -367,7 +367,7 @@ class Stage(HeldOnDevice):
                     options, edits, poses = read_deformation(entry["deformation"])
                     thing = Deformer(thing, edits, **options).pose(poses)
                 except ValueError as error:
-                    raise InputError(f"{path}: thing {entry['name']!r}: {error}") from None
+                    raise InputError(f"{path}: object {entry['name']!r}: {error}") from None
             stage.add(entry["name"], thing, place=entry["place"], path=path.parent / entry["field"])
             stage.hide(entry["name"], entry.get("hidden", False))
         return stage
@@ -409,7 +409,7 @@ class Stage(HeldOnDevice):
         options = main.field.view_options()
         if place != Place():
             if options["background_model"] is not None:
-                raise InputError("what lies around a field cannot be moved: leave that thing in place, and move others")
+                raise InputError("what lies around a field cannot be moved: leave it in place, and move other objects")
             options = {**options, "up": place.rotation @ main.field.up, "straightening": None}
         return self._merged_voxels(items, options, resolution)
 
@@ -488,7 +488,7 @@ class Stage(HeldOnDevice):
         if not isinstance(thing, Deformer):
             return thing.to(self.device)
         if thing.device != self.device:
-            raise InputError(f"thing {name!r} is a Deformer on {thing.device}, the stage is on {self.device}")
+            raise InputError(f"object {name!r} is a Deformer on {thing.device}, the stage is on {self.device}")
         return thing
 
     def _item(self, name: str) -> StageItem:
@@ -503,7 +503,7 @@ class Stage(HeldOnDevice):
         """What is not hidden, at least one."""
         shown = {name: item for name, item in self.items.items() if not item.hidden}
         if not shown:
-            raise InputError("the stage shows nothing: add a thing, or show one again")
+            raise InputError("the stage shows nothing: add an object, or show one again")
         return shown
 
 

@@ -42,8 +42,9 @@ class FalloffBand:
             self.faces = cut_faces(edit.cage, field)
             if not len(self.faces):
                 raise InputError(
-                    "no wall of the cage cuts matter, so that nothing tears there and no falloff is needed: leave it "
-                    "out, or say which walls are held: still (those that each pose leaves in place), or face numbers"
+                    "no side of the cage cuts through the object, so that nothing tears and no falloff is needed: "
+                    "leave it out, or say which sides are held: still (those that each pose leaves in place), or "
+                    "numbers of faces"
                 )
         elif edit.held != "still":
             self.faces = np.asarray(edit.held, dtype=np.int64)

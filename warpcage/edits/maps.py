@@ -200,8 +200,8 @@ class EditLattices:
             folded = np.argwhere(faded & ~folded_cells(plain.cells.numpy()))
             if band.has_matter(self._faded[index].positions.numpy()[tuple(folded.T)] + self.origin):
                 warn_caller(
-                    f"edit {index} turns matter inside out in its falloff band of {edit.falloff:.3g}: make the band "
-                    "wider, or move the cage less"
+                    f"edit {index} turns the object inside out in its falloff band of {edit.falloff:.3g}: make the "
+                    "band wider, or move the cage less"
                 )
 
     def settle_cells(self) -> None:

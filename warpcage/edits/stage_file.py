@@ -36,10 +36,10 @@ def free_name(name: str, taken: Collection[str]) -> str:
 def write_stage_file(path: pathlib.Path, things: Iterable[Mapping[str, Any]]) -> None:
     """Write things, as JSON has them, a line each, to be read and changed; whole or not at all."""
     if not path.name.lower().endswith(STAGE_ENDING):
-        raise InputError(f"a stage file ends in {STAGE_ENDING}, got {path.name!r}")
+        raise InputError(f"a scene file ends in {STAGE_ENDING}, got {path.name!r}")
     lines = [json.dumps(thing) for thing in things]
     if not lines:
-        raise InputError("an empty stage is not written: add a thing first")
+        raise InputError("an empty scene is not written: add an object first")
     head = f'{{"format": "{_FORMAT}", "version": {_VERSION}, "things": [\n '
     with atomic_path(path) as temporary:
         temporary.write_text(head + ",\n ".join(lines) + "]}\n", encoding="utf-8")
@@ -47,17 +47,17 @@ def write_stage_file(path: pathlib.Path, things: Iterable[Mapping[str, Any]]) ->
 
 def read_stage_file(path: PathLike) -> list[dict[str, Any]]:
     """The things of a stage file, with a PlaceFile each as "place"; no field is read."""
-    path = require_file(path, "stage file")
-    with errors_of(path, "stage file"):
-        content = read_document(path, "stage file", _FORMAT, _VERSION)
+    path = require_file(path, "scene file")
+    with errors_of(path, "scene file"):
+        content = read_document(path, "scene file", _FORMAT, _VERSION)
         things = content.get("things")
         if not isinstance(things, list) or not things or not all(isinstance(thing, dict) for thing in things):
-            raise InputError("its things must be a list of at least one object")
-        entries = [checked_words(thing, _THING, f"thing {number}") for number, thing in enumerate(things, 1)]
+            raise InputError("'things' must be a list of at least one object")
+        entries = [checked_words(thing, _THING, f"object {number}") for number, thing in enumerate(things, 1)]
         for number, entry in enumerate(entries, 1):
             for word in ("name", "field"):
                 if not isinstance(entry.get(word), str) or not entry[word].strip():
-                    raise InputError(f"thing {number} needs a {word}")
+                    raise InputError(f"object {number} needs a {word}")
             entry["place"] = PlaceFile.from_json(entry.get("place", {}))
         return entries
 
@@ -86,4 +86,4 @@ def read_deformation(content: Any) -> tuple[dict[str, Any], list[CageEdit], list
         ]
         return options, edits, poses
     except DAMAGED as error:
-        raise InputError(damage("stage file", error)) from None
+        raise InputError(damage("scene file", error)) from None

@@ -251,9 +251,9 @@ class EditWords:
         if self.keep and self.remove:
             raise InputError("'keep' and 'remove' do not go together: choose one")
         if self.remove and self.posed is not None:
-            raise InputError("what is removed needs no 'posed'")
+            raise InputError("'remove' needs no 'posed': leave it out")
         if self.remove and (self.falloff or self.held != "cut"):
-            raise InputError("what is removed has no band in which it fades to rest: leave 'falloff' and 'held' out")
+            raise InputError("'remove' goes without 'falloff' and 'held': leave them out")
         if not self.remove and self.posed is None:
             raise InputError("'cage' needs 'posed', the same cage posed, or \"remove\": true")
 

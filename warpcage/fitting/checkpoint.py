@@ -141,7 +141,7 @@ def read_checkpoint(
     """The arrays of a checkpoint of a kind, with these names, of the fit whose fingerprint is `own`."""
     contents = read_npz(path, "checkpoint", names.__contains__, room=ROOM)
     if str(contents.get("format", "")) != kind:
-        raise InputError(f"{path} is no {kind.removeprefix('warpcage ')} checkpoint: remove it or name another file")
+        raise InputError(f"{path} is not a {kind.removeprefix('warpcage ')} checkpoint: remove it or name another file")
     if str(contents.get("version")) != str(version):
         found = " ".join(str(contents.get("version")).split())[:20]  # an array prints in lines
         raise InputError(

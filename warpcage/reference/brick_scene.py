@@ -37,7 +37,7 @@ def write_brick_scene(
     path = pathlib.Path(path)
     require_counts(train_views, test_views, size)
     if path.exists() and not _is_replaceable(path):
-        raise InputError(f"{str(path)!r} is there and is no brick scene: give a new or an empty folder")
+        raise InputError(f"{str(path)!r} is there and is not a brick scene: give a new or an empty folder")
     model = brick_model()
     with _atomic_folder(path) as folder:
         for split, eyes in {"train": spread_eyes(train_views, seed), "test": orbit_eyes(test_views)}.items():

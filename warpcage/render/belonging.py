@@ -123,7 +123,7 @@ def mismatch(field: AnyField, views: SceneViews) -> str | None:
     blind = sum((picture_counts([each], points) > 0).mean() < LEAST_SHARE for each in views.cameras if len(points))
     words = f"what it shows is unlike the pictures (correlation {found.correlation:.2f})"
     if 2 * blind > len(views.cameras) or not np.isfinite(found.error):
-        words = f"{blind} of {len(views.cameras)} cameras have nothing of its matter in their pictures"
+        words = f"{blind} of {len(views.cameras)} cameras see nothing of it"
     fitting = [each for each in _explanations(_thinned(field), few) if each[1].explains]
     if fitting:
         what, best = min(fitting, key=lambda each: each[1].left)
@@ -177,7 +177,7 @@ def inverse(motion: Similarity) -> Similarity:
 def moved_field(field: AnyField, motion: Similarity) -> SplatField:
     """Splats in another world, with their scales, turns and harmonics; ValueError for voxels."""
     if not isinstance(field, SplatField):
-        raise InputError("only splats are taken out of nerfstudio's frame: voxels stay in that of their scene")
+        raise InputError("only splats are moved out of nerfstudio's coordinates: voxels are in those of their scene")
     contents = placed(field.contents, motion.rotation, motion.shift, motion.scale)
     return SplatField.from_contents(contents, **field.view_options(), device=field.device)
 
@@ -192,7 +192,9 @@ def out_of_frame(frame: Similarity, to_source: np.ndarray | None) -> Similarity:
     scale = float(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
     turn = matrix[:3, :3] / scale
     if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0.0:
-        raise InputError(f"the scene's applied_transform is no turn with a scale: {listed(matrix.round(4).tolist())}")
+        raise InputError(
+            f"the scene's applied_transform must be a turn with a scale: {listed(matrix.round(4).tolist())}"
+        )
     return Similarity(scale * back.scale, turn @ back.rotation, scale * turn @ back.shift + matrix[:3, 3])
 
 

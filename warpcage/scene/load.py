@@ -134,7 +134,7 @@ def holding_format(path: str | os.PathLike[str]) -> SceneFormat:
     hint = "" if inner is None else f": give its folder {inner.name!r}, which is a scene"
     hint = scene_around(folder) or hint  # a folder of COLMAP's model, of pictures
     near = _said_of(folder, NOT_READ) or _nearest(folder) or _said_of(folder, dict([VIDEOS])) or UNKNOWN
-    raise InputError(f"{str(folder)!r} is no scene of a known format: {near}; it holds {there}{hint}")
+    raise InputError(f"{str(folder)!r} is not a scene of a known format: {near}; it holds {there}{hint}")
 
 
 #: What folders hold that is not read, by names of which one is enough, and what to do.
@@ -143,8 +143,8 @@ NOT_READ = {
     "*_COLMAP_SfM.log": "Tanks and Temples as its authors publish it has poses without focal lengths and is not read: "
     "convert its pictures with ns-process-data, or find cameras with `warpcage capture`",
     "habitat/ mesh_semantic.ply": "Replica's own download holds meshes and no pictures: take renders of it (traj.txt)",
-    "nerfstudio_models/": "a result of nerfstudio is no scene: `ns-export gaussian-splat` writes its splats, and the "
-    "scene is the folder that was given to ns-train",
+    "nerfstudio_models/": "a result of nerfstudio is not a scene: `ns-export gaussian-splat` writes its splats, and "
+    "the scene is the folder that was given to ns-train",
 }
 
 #: Words for a folder that nothing is known of.

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import listed, shown, warn_caller
-from ..core.files import JSON_ROOM, TEXT_ROOM, read_limited, require_file
+from ..core.files import JSON_ROOM, TEXT_ROOM, read_limited, require_file, seen_note
 from ..core.names import counted, error_line
 from ..errors import InputError, MissingFileError
 from .lenses import Intrinsics
@@ -46,7 +46,7 @@ def read_json(path: pathlib.Path, kind: type = dict) -> Any:
     try:
         content = json.loads(decoded(read_limited(path, "file", JSON_ROOM)))
     except (ValueError, RecursionError) as error:  # wrong bytes, wrong syntax, brackets without end
-        raise InputError(f"{path} is no JSON file: {error_line(error, 300)}") from error
+        raise InputError(f"{path} is not a JSON file{seen_note(path, 'JSON')}: {error_line(error, 300)}") from error
     if not isinstance(content, kind):
         raise InputError(f"{path} must hold a JSON {'object' if kind is dict else 'list'}")
     return content
@@ -57,7 +57,7 @@ def read_text(path: pathlib.Path, what: str) -> str:
     try:
         return decoded(read_limited(path, what, TEXT_ROOM))
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is no text file: {error_line(error, 300)}") from error
+        raise InputError(f"{path} is not a text file: {error_line(error, 300)}") from error
 
 
 #: A number as programs write it in countries where a comma stands before the decimals.

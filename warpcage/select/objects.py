@@ -357,7 +357,7 @@ def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: fl
         mask = matter.connected(mask, clicks)
     if not mask.any():
         where = "" if floor is None else " above the plane"
-        raise InputError(f"nothing is selected: no matter that is dense enough for a surface is left{where}")
+        raise InputError(f"nothing is selected: nothing dense enough for a surface is left{where}")
     notes += _cut_off(field, mask)
     mask = matter.with_fringe(mask, floor)
     tell(STEPS, STEPS, "object: its fringe")
@@ -404,8 +404,8 @@ class _Matter:
             nearest = int(np.argmin(distance)) if len(cells) else -1
             if nearest < 0 or distance[nearest] > SEED_VOXELS * float(self._voxel.max()):
                 raise InputError(
-                    f"the click at {click.round(4).tolist()} is on nothing: no matter that is dense enough for a "
-                    f"surface lies within {SEED_VOXELS} voxels of it"
+                    f"the click at {click.round(4).tolist()} is on nothing: nothing dense enough for a surface "
+                    f"lies within {SEED_VOXELS} voxels of it"
                 )
             chosen.add(int(labels[tuple(cells[nearest])]))
         return np.isin(labels, sorted(chosen))
@@ -492,10 +492,10 @@ def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
     if clicks is None:
         places = matter.places(matter.above(None))
         if not len(places):
-            raise InputError("nothing is selected: no matter in the region is dense enough for a surface")
+            raise InputError("nothing is selected: nothing in the region is dense enough for a surface")
         found = plane_through(planes, places, voxel, matter.holds)
         if found is None:
-            raise InputError(f"what is selected stands on no {word}: {_other_planes(kind)}")
+            raise InputError(f"the selection stands on no {word}: {_other_planes(kind)}")
         return found
 
     def grown(plane: Plane) -> np.ndarray:
@@ -509,7 +509,7 @@ def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
         if abs(float(np.median(plane.heights(clicks)))) <= plane.clearance(voxel):
             raise InputError(_on_plane(clicks[0], plane, plane.clearance(voxel), kind))
     raise InputError(
-        f"the click at {clicks[0].round(4).tolist()} is above no {word} of the field's {len(planes)}: "
+        f"no {word} of the field's {len(planes)} lies below the click at {clicks[0].round(4).tolist()}: "
         f"{_other_planes(kind)}"
     )
 

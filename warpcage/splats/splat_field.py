@@ -529,7 +529,7 @@ def _require_field_file(path: PathLike) -> None:
     if file.suffix.lower() not in (".npz", "") and not begins_as_archive(file):
         endings = " ".join(dict.fromkeys(pathlib.Path(f"x{ending}").suffix for ending in SPLAT_ENDINGS))
         raise InputError(
-            f"{path} is no field: fields are .npz (voxels) or {endings} (splats), this looks like {kind_seen(file)}"
+            f"{path} is not a field: fields are .npz (voxels) or {endings} (splats), this looks like {kind_seen(file)}"
         )
 
 

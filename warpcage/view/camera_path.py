@@ -203,7 +203,7 @@ def _move(kind: str, value: str, text: str) -> CameraMove:
     except ValueError:
         good = False
     if not good:
-        raise InputError(f"camera {text!r} is no move: {MOVE_HELP}; shares are above 0, seeds whole numbers")
+        raise InputError(f"camera {text!r} is not a move: {MOVE_HELP}; shares are above 0, seeds whole numbers")
     return CameraMove(kind, amount)
 
 

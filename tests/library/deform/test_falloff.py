@@ -171,7 +171,7 @@ def test_bad_bands_are_refused(options, message):
 
 def test_a_cage_that_cuts_nothing_needs_no_band(field):
     around = Cage.box([-0.97, -0.6, -0.6], [0.97, 0.6, 0.6])
-    said = refused(lambda: Deformer(field, CageEdit(around, falloff=0.1)), match="no wall of the cage cuts matter")
+    said = refused(lambda: Deformer(field, CageEdit(around, falloff=0.1)), match="no side of the cage cuts")
     assert '"' not in said and "are held: still" in said  # as a command says it, too
 
 

@@ -104,6 +104,6 @@ def test_fill_on_the_command_line(tmp_path, capsys):
         assert message in capsys.readouterr().err
     surrounded_ball("cpu", around=None).save(tmp_path / "ball.npz")
     assert run(tmp_path, "render", *words, "-o", "@x.png", "--fill") == 2
-    assert "behind this field there is one colour" in capsys.readouterr().err
+    assert "the background of this field is one colour" in capsys.readouterr().err
     assert run(tmp_path, "render", "@ball.npz", "-o", "@x.png", "--fill") == 2
     assert "--fill needs a deformation" in capsys.readouterr().err

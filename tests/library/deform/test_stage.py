@@ -277,12 +277,12 @@ def test_bad_stage_files_are_told_in_one_line(tmp_path):
     good = {"name": "it", "field": "it.npz"}
     wrong = {
         "its format is": {"format": "warpcage edits"},
-        "thing 1 needs a field": {"things": [{"name": "it"}]},
-        "its things must be": {"things": []},
+        "object 1 needs a field": {"things": [{"name": "it"}]},
+        "'things' must be": {"things": []},
         "its version is 2": {"version": 2, "things": [good]},
-        "thing 1 has no 'file'": {"things": [good | {"file": "it.npz"}]},
+        "object 1 has no 'file'": {"things": [good | {"file": "it.npz"}]},
         "the scale of a place": {"things": [good | {"place": {"scale": -1}}]},
-        "thing 'it': .* lacks 'edits'": {"things": [good | {"deformation": {}}]},
+        "object 'it': .* lacks 'edits'": {"things": [good | {"deformation": {}}]},
         "it has no 'cells'": {"things": [good | {"deformation": {"edits": [], "cells": 3}}]},
     }
     for message, content in wrong.items():
@@ -296,9 +296,9 @@ def test_what_a_stage_refuses(tmp_path, device):
     refused(lambda: stage.render(view()), match="the stage shows nothing")
     stage.add("it", field)
     for attempt, message in (
-        (lambda: stage.add("it", field), "has a thing 'it' already"),
+        (lambda: stage.add("it", field), "has an object 'it' already"),
         (lambda: stage.add("", field), "needs a name"),
-        (lambda: stage.add("cage", BOX), "a thing of a stage"),
+        (lambda: stage.add("cage", BOX), "an object of a stage"),
         (lambda: stage.add("far", field, place=Place((np.nan, 0, 0))), "the position of a place"),
         (lambda: stage.remove("other"), "the stage has no 'other', only it"),
         (lambda: stage.save(tmp_path / "scene.json"), "ends in .stage.json"),

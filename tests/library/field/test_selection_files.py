@@ -189,7 +189,7 @@ def test_commands_take_a_selection(files, table, lamp, capsys):
         (("select", "@table.npz", "-o", "@n.txt", "--point", 0, 0, 0), "must end in .npz or .json"),
         (("select", "@table.npz", "-o", "@n.npz", "--point", 0, 0, 9), "is on nothing"),
         (("select", "@table.npz", "-o", "@n.npz", "--depth", 1, 2), "go together"),
-        (("select", "@table.npz", "-o", "@n.npz", "--point", 0, 0, 0, "--plane", "none", "--clearance", 1), "belong"),
+        (("select", "@table.npz", "-o", "@n.npz", "--point", 0, 0, 0, "--plane", "none", "--clearance", 1), "a plane"),
         (("select", "@table.npz", "-o", "@n.npz", "--pixel", 0, 0), "is on nothing"),
         (("select", "@table.npz", "-o", "@n.npz", "--pixel", -1, 0), "at least 0"),
         (("cage", "@lamp.obj", "-o", "@n.obj", "--selection", "@lamp.npz"), "is for fields"),

@@ -143,7 +143,7 @@ def test_checkpoints_of_other_fits_are_refused(tmp_path):
     load_progress(FieldOptimizer(scene, **options), tmp_path / "c.npz")
     refused(lambda: load_progress(FieldOptimizer(scene, seed=1, **options), tmp_path / "c.npz"), match="another fit")
     np.savez(tmp_path / "d.npz", a=1)
-    refused(lambda: load_progress(optimizer, tmp_path / "d.npz"), match="no fit checkpoint")
+    refused(lambda: load_progress(optimizer, tmp_path / "d.npz"), match="not a fit checkpoint")
     refused(lambda: warpcage.fit(scene, progress=False, checkpoint=tmp_path / "c.pt"), match="ends in .npz")
 
 

@@ -285,7 +285,7 @@ def test_commands_write_read_and_tune_cameras(tmp_path, capsys):
     for more, moved in ([], True), (["--given-cameras"], False):
         assert main([str(word) for word in [*words, *more, "--json", tmp_path / "report.json"]]) == 0
         said, report = capsys.readouterr().out, json.loads((tmp_path / "report.json").read_text())
-        assert ("moved along with those near them" in said) == report["moved_cameras"] == moved
+        assert ("moved as the refined ones near them" in said) == report["moved_cameras"] == moved
         assert (report["mean_psnr_given"] is not None) == ("as they were given the mean is" in said) == moved
 
     words.append("--tune-cameras")

@@ -85,7 +85,7 @@ def test_evaluate_takes_the_pictures_that_it_names(output, capsys):
         assert report["mean_psnr"] > 55.0 and [row["view"] for row in report["views"]] == ["view_00", "view_08"]
     (output.parent / "truck").rename(output.parent / "elsewhere")
     assert run(output.parent, "evaluate", "@out", "--device", "cpu") == 2
-    assert "which is no folder here, nor is 'truck' beside it" in capsys.readouterr().err
+    assert "which is not a folder here, nor is 'truck' beside it" in capsys.readouterr().err
     succeed(output.parent, "render", "@out", "--camera", "@out:3", "-o", "@a.png", "--device", "cpu")
     (output.parent / "elsewhere").rename(output / "truck")
     assert len(load_scene(output)) == 8
@@ -160,7 +160,7 @@ def test_pictures_of_the_size_of_the_fit(tmp_path, shown):
         ("Namespace(source_path='/no/where\\0')", "names no source_path|must hold"),
         ("", r"must hold Namespace\(...\)"),
         (None, "cfg_args is not there"),
-        ("Namespace(source_path='/')", "is no scene of a known format"),
+        ("Namespace(source_path='/')", "is not a scene of a known format"),
     ],
 )
 def test_options_are_read_and_never_run(output, text, said):

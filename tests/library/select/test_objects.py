@@ -165,7 +165,7 @@ def test_a_pixel_shows_the_place_in_front(scene, device):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"point": (0, 0, 5)}, "is on nothing: no matter"),
+        ({"point": (0, 0, 5)}, "is on nothing: nothing dense"),
         ({"point": "floor"}, "is on the ground plane, not on an object"),
         ({"point": "lamp", "plane": "wall"}, "no wall is found in the field"),
         ({"point": "lamp", "up": (1, 0, 0)}, "no ground plane is found"),

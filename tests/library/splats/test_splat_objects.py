@@ -194,7 +194,7 @@ def test_a_click_through_haze_is_on_what_is_behind(scene):
 
 CLICKS = {
     "on the floor": ({"point": (-1.5, -1.0, 0.0)}, "is on the ground plane"),
-    "on nothing": ({"point": (-1.5, -1.0, 1.0)}, "is on nothing: no matter"),
+    "on nothing": ({"point": (-1.5, -1.0, 1.0)}, "is on nothing: nothing dense"),
     "beside everything": (
         {"pixel": (5, 5), "camera": Camera.look_at((9, 9, 9), (20, 20, 20), up=(0, 0, 1), width=10, height=10)},
         "is not half opaque there",

@@ -240,7 +240,7 @@ def test_what_is_followed_stays_in_the_middle():
     "words", ["turn:far", "dolly:0", "dolly:-1", "hand-held:0.5", "crane:nan", "turn+spin", "turn+"]
 )
 def test_moves_that_are_none(words):
-    refused(lambda: camera_moves(words), match="is no move: turn")
+    refused(lambda: camera_moves(words), match="is not a move: turn")
     assert camera_moves("scene:test") is None and camera_moves("turntable.json") is None
 
 

@@ -77,11 +77,11 @@ def test_no_pictures(tmp_path, make, words):
         (lambda source: save_pictures(source, [BLACK]), "holds 1 picture: cameras are found of at least 3"),
         (lambda source: save_pictures(source, [BLACK] * 2), "holds 2 pictures: cameras are found of at least 3"),
         (broken_pictures, "none of the 3 pictures"),
-        (lambda source: source.write_bytes(b"words"), "cannot be read as a video"),
+        (lambda source: source.write_bytes(b"words"), "cannot be read as a video, this looks like another kind of"),
         (still_video, "shows 1 different view: cameras are found where the view moves"),
         (
             lambda source: save_pictures(source, [np.full((150, 200, 3), 90 + 10 * k, np.uint8) for k in range(5)]),
-            "too little to hold on to, 0 features each",
+            "too little detail to match, 0 features each",
         ),
         (  # what a mirror shows is another thing from each place
             lambda source: save_pictures(source, [moving_pictures([0], (150, 200), k)[0] for k in range(4)]),
@@ -137,6 +137,7 @@ def test_pictures_that_are_named_are_used(tmp_path, glances, capsys):
         ({"pictures": "none.txt"}, "list of pictures"),
         ({"pictures": "in/p000.png"}, "is not text"),
         ({"path": "walk.mp4", "pictures": ["p000"]}, "is a video"),
+        ({"path": "in/p000.png"}, "is one picture: give a folder"),
         ({"output": "full"}, "there and not empty"),
         ({"output": "full/dear.txt"}, "is a file"),
         ({"output": "full/dear.txt/x"}, "not a folder"),

@@ -93,7 +93,7 @@ def test_masks_take_the_wall_away_and_go_with_the_scene(tmp_path, turning):
     ("masks", "words"),
     [
         ("nowhere", "are not there: give a folder"),
-        ("in/p000.npy", "must be a folder of masks, or"),
+        ("in/p000.npy", "one picture for all, this looks like"),
         ("other", r"has the name of a picture: p000.png or"),
         ("small", "is 9x9, its picture 'p000.png' 320x240"),
         ("black.png", "in what masks leave of them, 0 features"),

@@ -1,6 +1,7 @@
 """The command line: what it writes, what it says, how it ends."""
 
 import json
+import pathlib
 import re
 import subprocess
 import sys
@@ -34,7 +35,14 @@ def test_warnings_take_one_line_without_a_place_in_the_source(capsys, monkeypatc
     assert capsys.readouterr().err == "warpcage: warning: the gap is narrow\n"
 
 
-@pytest.mark.parametrize(("command", "rare"), [("render", "--density"), ("animate", "--shutter"), ("fit", "--seed")])
+@pytest.mark.parametrize(
+    ("command", "rare"),
+    [
+        ("render", "--density"), ("animate", "--shutter"), ("fit", "--seed"), ("select", "--clearance"),
+        ("clean", "--least-weight"), ("mesh", "--fragments"), ("cage", "--symmetry"), ("pose", "--centre"),
+        ("sweep", "--supersampling"), ("bake", "--density"),
+    ],
+)  # fmt: skip
 def test_help_of_long_commands_begins_with_the_usual_options(command, rare, capsys):
     said = {}
     for words in ("--help", "--help all"):
@@ -46,6 +54,17 @@ def test_help_of_long_commands_begins_with_the_usual_options(command, rare, caps
     options = re.findall(r"^  (-.*)$", short, re.MULTILINE)
     assert len(options) == 11 and rare not in short and rare in whole  # ten and --help
     assert f"warpcage {command} " in short and f"more options: warpcage {command} --help all" in short
+
+
+HELP = pathlib.Path(__file__).parents[2] / "data" / "help"
+
+#: Words of the code that nobody who meets the commands knows; flags and endings of files keep theirs.
+INNER_WORDS = r"(?<![-.\w])(matter|things?|stages?|told|anew|whoever|by lot|of no use|straight colours?)(?![\w])"
+
+
+@pytest.mark.parametrize("path", sorted(HELP.glob("*.txt")), ids=lambda path: path.stem)
+def test_help_has_no_words_of_the_code(path):
+    assert re.findall(INNER_WORDS, path.read_text()) == []
 
 
 def test_a_folder_made_for_an_output_is_told_and_not_left_by_a_command_that_fails(files, tmp_path, capsys):
@@ -70,14 +89,27 @@ def test_a_folder_made_for_an_output_is_told_and_not_left_by_a_command_that_fail
         ["animate", "@ball.npz", "--session", "@picture.png", "-o", "@new.mp4"],
         ["fit", "@picture.png", "-o", "@new.npz"],
         ["pose", "@picture.png", "-o", "@new.obj", "--bend", 3],
+        ["run", "@picture.png", "-o", "@new"],
+        ["render", "@ball.npz", "--add", "@ball.npz:@picture.png", "-o", "@new.png"],
+        ["render", "@picture.stage.json", "-o", "@new.png"],
+        ["render", "@ball.npz", "--frame", "@picture.stage.json", "-o", "@new.png"],
+        ["animate", "@ball.npz", "--cameras", "@picture.stage.json", "-o", "@new.mp4"],
+        ["mesh", "@ball.npz", "--selection", "@picture.png", "-o", "@new.obj"],
     ],
     ids=lambda words: " ".join(map(str, words[:3])),
 )
 def test_a_wrong_kind_of_file_is_told_as_what_it_looks_like(words, files, tmp_path, capsys):
-    iio.imwrite(files / "picture.png", np.zeros((4, 4, 3), np.uint8))
+    for name in ("picture.png", "picture.stage.json"):
+        iio.imwrite(files / name, np.zeros((4, 4, 3), np.uint8), extension=".png")
     assert run(files, *words) == 2
     said = capsys.readouterr().err
-    assert "this looks like a picture" in said and said.count("\n") == 1
+    assert "looks like a picture" in said and said.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [["check", "@scene"], ["pose", "@scene", "-o", "@new.obj", "--bend", 3]])
+def test_a_folder_in_place_of_a_cage_is_told(words, files, capsys):
+    assert run(files, *words) == 2
+    assert "must end in .obj" in (said := capsys.readouterr().err) and said.endswith(", this is a folder\n")
 
 
 def test_folders_that_stayed_empty_go_again(tmp_path, monkeypatch):

@@ -76,7 +76,7 @@ def test_splats_in_the_frame_of_nerfstudio(place, capsys, where):
             file.unlink()
     own, _ = evaluated(place, capsys, "own")
     assert psnr == pytest.approx(own, abs=0.5)
-    assert f"taken out of nerfstudio's frame by {file}: 4.348 times as large" in said and "belong" not in said
+    assert f"moved out of nerfstudio's coordinates by {file}: 4.348 times as large" in said and "belong" not in said
 
 
 def test_without_the_file_it_is_said(place, capsys):
@@ -107,7 +107,7 @@ def test_other_commands_say_it_too(place, tmp_path, capsys, command):
     words = [word.replace("film", "second") for word in words] + ["--frame", str(place / "frame.json")]
     main([command, str(place / "export" / "splat.ply"), "--device", "cpu", *words])
     said = capsys.readouterr().err
-    assert "taken out of nerfstudio's frame" in said and "belong together" not in said
+    assert "moved out of nerfstudio's coordinates" in said and "belong together" not in said
 
 
 def test_figures_in_python_and_in_job_files_warn_of_it(place, tmp_path):
@@ -157,14 +157,14 @@ def test_what_would_explain_it_is_said(place, turn, scale, words):
 def test_nothing_in_the_picture_is_said(place, tmp_path, capsys):
     out = str(tmp_path / "a.png")
     main(["render", str(place / "own" / "splat.ply"), "-o", out, "--eye", "9", "9", "9", "--target", "20", "20", "20"])
-    assert "looks elsewhere than where the field's matter is" in capsys.readouterr().err
+    assert "does not look at the field" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         ("[1]", "must hold a JSON object"),
-        ("{", "is no JSON file"),
+        ("{", "is not a JSON file"),
         ({"scale": 1}, "has no transform and scale"),
         ({"transform": 3, "scale": 1}, "transform must be a 4x4 matrix"),
         ({"transform": np.eye(4)[:3].tolist(), "scale": None}, "scale must be a finite number"),
@@ -173,8 +173,8 @@ def test_nothing_in_the_picture_is_said(place, tmp_path, capsys):
         ({"transform": (2 * np.eye(4))[:3].tolist(), "scale": 1}, "must be a turn and a shift"),
         ({"transform": np.diag([1, 1, -1, 1.0])[:3].tolist(), "scale": 1}, "must be a turn and a shift"),
         ({"transform": np.zeros((3, 4)).tolist(), "scale": 1}, "must be a turn and a shift"),
-        ({"transform": np.eye(4)[:3].tolist(), "scale": 1e-300}, "a scale of 1e-300 .* is no frame's"),
-        ({"transform": [[1, 0, 0, 1e308], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}, "a shift of .* is no frame's"),
+        ({"transform": np.eye(4)[:3].tolist(), "scale": 1e-300}, "a scale of 1e-300 .* is not a frame's"),
+        ({"transform": [[1, 0, 0, 1e308], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}, "a shift of .* is not a frame's"),
         ({"transform": [[1, 0, 0, "a"], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}, "must be a finite number"),
         ({"transform": np.diag([1, 1, 1, 2.0]).tolist(), "scale": 1}, "must be a turn and a shift"),
     ],
@@ -192,6 +192,6 @@ def test_frames_are_for_splats(tmp_path, place, capsys):
     warpcage.VoxelField.from_dense(*parts, device="cpu").save(tmp_path / "f.npz")
     words = ["-o", str(tmp_path / "a.png"), "--device", "cpu", "--frame", str(place / "frame.json")]
     assert main(["render", str(tmp_path / "f.npz"), *words]) == 2
-    assert "only splats are taken out of nerfstudio's frame" in capsys.readouterr().err
+    assert "only splats are moved out of nerfstudio's coordinates" in capsys.readouterr().err
     assert main(["render", str(tmp_path / "f.npz"), *words[:-1], "sideways"]) == 2
     assert "takes rest, posed or a .json file, got 'sideways'" in capsys.readouterr().err

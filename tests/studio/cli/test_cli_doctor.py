@@ -28,7 +28,7 @@ def doctor(tmp_path, *needs, environment=(), **modules):
         state, what = re.match(r"(ok|note|broken) +(\S.*)", line).groups()
         lines[state].append(what)
     last = done.stdout.splitlines()[-1]
-    assert last == (f"{len(lines['broken'])} thing to mend" if lines["broken"] else "warpcage works here")
+    assert last == (f"{len(lines['broken'])} problem to fix" if lines["broken"] else "warpcage works here")
     return done.returncode, lines
 
 

@@ -65,7 +65,8 @@ WRONG = [
     (("@broken.npz",), "is not an .npz"),
     (("@ball.npz", "--cage", "@nothing.obj"), "nothing.obj"),
     (("@ball.npz", "--cage", "@open.obj"), "open.obj"),
-    (("@ball.npz", "--session", "@broken.session.json"), "broken.session.json"),
+    (("@ball.npz", "--session", "@broken.session.json"), "broken.session.json: "),
+    (("@ball.npz", "--session", "@broken.session.json"), "--new sets that file aside and begins anew"),
     (("@ball.npz", "--host", "no.such.host.invalid"), ""),
     (("@ball.npz", "--host", "192.0.2.1"), "assign requested address"),
 ]
@@ -82,7 +83,7 @@ def test_what_cannot_be_is_one_line(files, capsys, words, said):
 @pytest.mark.parametrize("port", ["-1", "65536", "x", "1.5", "", "²"])
 def test_a_port_is_a_number(files, capsys, port):
     assert edit(files, "@ball.npz", f"--port={port}") == 2
-    assert "is no port" in error(capsys)
+    assert "must be 0 to 65535" in error(capsys)
 
 
 def test_a_port_that_is_taken_is_one_line(files, capsys):
@@ -164,6 +165,17 @@ def test_the_demo_comes_from_the_cache_and_its_session_goes_into_the_current_fol
     old.write_bytes(content)
     assert run(files, "edit", "--demo", "--no-browser") == 0
     assert f"--session {old}" in capsys.readouterr().err and old.read_bytes() == content
+    assert run(files, "edit", "--demo", "--new", "--no-browser") == 0
+    assert "earlier session" not in capsys.readouterr().err and old.read_bytes() == content
+
+
+def test_a_file_where_the_demos_folder_should_be_is_refused_before_the_demo_is_made(files, opened, capsys, monkeypatch):
+    monkeypatch.setattr("warpcage.studio.editor.demo.demo_files", lambda device: pytest.fail("the demo is made"))
+    monkeypatch.chdir(files)
+    (files / "warpcage-demo").write_text("mine")
+    assert run(files, "edit", "--demo", "--no-browser") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "'warpcage-demo' is not a folder" in line and (files / "warpcage-demo").read_text() == "mine" and not opened
 
 
 def test_a_browser_is_opened_or_the_reader_is_told(files, opened, capsys, monkeypatch):

@@ -410,7 +410,7 @@ def test_render_of_several_things(files, things, tmp_path, capsys):
     capsys.readouterr()
     succeed(files, "info", scene)
     said = capsys.readouterr().out
-    assert "thing 'ball 2'" in said and "1 edit, at [0.6, 0.2, 0.1], turned by [0.0, 90.0, 20.0] degrees" in said
+    assert "object 'ball 2'" in said and "1 edit, at [0.6, 0.2, 0.1], turned by [0.0, 90.0, 20.0] degrees" in said
     succeed(files, "render", scene, "-o", tmp_path / "all.png", "--size", 40)  # the picture holds all of them
     image = read_image(tmp_path / "all.png")
     assert (image[[0, -1]] == 1).all() and (image[:, [0, -1]] == 1).all()
@@ -495,8 +495,8 @@ def test_bake_of_a_stage_file(files, things, tmp_path):
         (["render", "@ball.npz", "--save-stage", "x.json"], "that ends in .stage.json"),
         (["render", "@none.stage.json"], "none.stage.json' is not there"),
         (["render", "@none.stage.json", *DEFORMED], "have cages of their own"),
-        (["animate", "@ball.npz", "--add", "@ball.npz", "--workers", "2"], "--workers and --jobs render a field alone"),
-        (["bake", "@none.stage.json", *DEFORMED], "--cage does not go with a stage file"),
+        (["animate", "@ball.npz", "--add", "@ball.npz", "--workers", "2"], "--workers and --jobs render one field"),
+        (["bake", "@none.stage.json", *DEFORMED], "--cage does not go with a scene file"),
     ],
     ids=["place", "field", "words", "ending", "stage", "cages", "workers", "bake"],
 )

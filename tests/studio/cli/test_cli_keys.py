@@ -106,7 +106,7 @@ def test_rate_length_and_loop_of_a_film_follow_from_the_keys(files, tmp_path, ca
     assert len(iio.imread(tmp_path / "film.gif")) == 3
     capsys.readouterr()
     assert run(files, *words, "--frames", 9) == 2
-    assert "--frames does not go with keys at times" in capsys.readouterr().err
+    assert "--frames is not for keys at times" in capsys.readouterr().err
     assert (
         run(files, "animate", "@ball.npz", *FILM, "--posed", "bend:3", "-o", tmp_path / "b.gif", "--loop", "loop") == 2
     )
@@ -191,7 +191,7 @@ def test_a_still_of_a_file_that_moves(files, tmp_path, capsys):
     for pose, message in (
         ("off.gltf", "holds 2 keyframes: name one, as in"),
         ("walk.gltf", "holds an animation of 9 frames: `warpcage animate` makes a film of it"),
-        ("off.gltf:wide", "no animation or shape 'wide', only tall, aside"),
+        ("off.gltf:wide", "no animation or shape key 'wide', only tall, aside"),
     ):
         assert run(files, *words, tmp_path / "x.png", "--posed", tmp_path / pose) == 2
         assert message in capsys.readouterr().err

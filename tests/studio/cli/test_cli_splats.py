@@ -38,7 +38,7 @@ def test_a_cage_is_made_and_checked(folder, capsys):
     field = warpcage.SplatField.load("scene.ply", device="cpu")
     assert cage.contains(field.contents.centers).mean() > 0.99
     assert main(["check", "wrapped.obj", "--object", "scene.ply"]) == 0
-    assert "visible matter enclosed" in said(capsys)
+    assert "the visible object enclosed" in said(capsys)
     assert main(["cage", "scene.ply", "-o", "part.obj", "--box", "--in-box", "0", "-1", "-1", "1", "1", "1"]) == 0
     assert warpcage.Cage.load("part.obj").bounds[0][0] > -0.2
     text = said(capsys)
@@ -187,7 +187,7 @@ def test_pictures_and_films(folder, capsys):
         (["cage", "scene.ply", "-o", "a.ply", "--in-box", "7", "7", "7", "8", "8", "8"], "visible cells are outside"),
         (
             [*"bake scene.ply -o a.ply --cage around.obj --posed twist:9 --falloff 0.1".split()],
-            "or say which walls are held: still (",
+            "or say which sides are held: still (",
         ),
         (["info", "cut.splat"], "32 bytes a splat"),
         (
@@ -197,7 +197,7 @@ def test_pictures_and_films(folder, capsys):
         (["check", "scene.ply"], "scene.ply holds splats, without faces, no mesh and no cage"),
         (["check", "scene.compressed.ply"], "holds splats"),
         (["cage", "header.ply", "-o", "a.ply"], "cannot be read as a mesh, it is cut off or damaged"),
-        (["render", "cage.obj", "-o", "a.png"], "cage.obj is no field: fields are .npz (voxels) or "),
+        (["render", "cage.obj", "-o", "a.png"], "cage.obj is not a field: fields are .npz (voxels) or "),
         (["render", ".", "-o", "a.png"], "field file '.' is a folder"),
     ],
 )

@@ -215,7 +215,9 @@ def test_info_of_cameras_and_of_foreign_json(files, tmp_path, capsys):
     (tmp_path / "other.json").write_text('{"figures": 3}')
     assert run(files, "info", tmp_path / "other.json") == 2
     error = capsys.readouterr().err
-    assert "its format is none of warpcage poses, warpcage cameras, warpcage edits" in error and error.count("\n") == 1
+    assert (
+        "its format must be one of warpcage poses, warpcage cameras, warpcage edits" in error and error.count("\n") == 1
+    )
 
 
 #: Cameras around the ball from 200 to 300 degrees, ever nearer to it.

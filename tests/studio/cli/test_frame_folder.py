@@ -89,5 +89,5 @@ def test_frames_of_another_film_are_named_and_replaced_when_asked(files, tmp_pat
 def test_a_file_of_the_notes_name_that_is_none_is_kept(files, tmp_path, capsys, content):
     (tmp_path / "animation.json").write_text(content)
     assert run(files, "animate", "@ball.npz", "-o", tmp_path, *FILM, "--overwrite") == 2
-    assert "no note of frames that warpcage wrote" in capsys.readouterr().err
+    assert "not a list of frames that warpcage wrote" in capsys.readouterr().err
     assert listing(tmp_path) == ["animation.json"] and (tmp_path / "animation.json").read_text() == content

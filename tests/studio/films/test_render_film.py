@@ -188,7 +188,7 @@ def test_frames_that_are_equal_are_rendered_once(deformer, tmp_path, monkeypatch
     [
         ({"camera": 3}, "the camera of a film must be"),
         ({"camera": []}, "the camera of a film must be"),
-        ({"move": "fly"}, "no move of a camera"),
+        ({"move": "fly"}, "not a camera move"),
         ({"camera": [CAMERA, CAMERA], "move": "turn"}, "move is for one camera"),
         ({"frames": 0}, "frames must be a whole number"),
         ({"fps": 0}, "fps must be positive"),

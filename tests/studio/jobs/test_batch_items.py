@@ -251,7 +251,7 @@ def test_items_are_refused_with_file_and_line(case, tmp_path):
 
 
 LINES = {
-    "no header": ([FRAME], "line 1: it is no header of a job file"),
+    "no header": ([FRAME], "line 1: it is not the header of a job file"),
     "another format": ([{"format": "warpcage poses", "version": 1}], "not 'warpcage jobs'"),
     "a newer version": ([HEADER | {"version": 4}], "line 1: its version is 4, this warpcage reads up to 3: upgrade"),
     "no version": ([without(HEADER, "version")], "its version must be a whole number"),
@@ -264,7 +264,7 @@ LINES = {
     "records": ([HEADER | {"records": {"kind": "zip"}}], "'kind' must be one of folder, webdataset"),
     "a list": ([HEADER, "[1, 2]"], "line 2: it must be a JSON object"),
     "half a line": ([HEADER, FRAME, '{"id": "b", "field'], "line 3: its JSON breaks off or is damaged at column"),
-    "NaN": ([HEADER, '{"id": "b", "falloff": NaN}'], "line 2: NaN is no number of JSON"),
+    "NaN": ([HEADER, '{"id": "b", "falloff": NaN}'], "line 2: NaN is not a number in JSON"),
     "brackets": ([HEADER, "[" * 100_000], "line 2: its JSON is nested too deeply"),
     "two of one id": (
         [HEADER, FRAME, FRAME | {"outputs": {"rgb": "b.png"}}],

@@ -337,7 +337,7 @@ def test_a_dry_run_writes_nothing(files, tmp_path, capsys):
     bad = write_frames(files, 3, "bad.jsonl", changes={0: {"field": "none.npz"}, 1: {"field": "none.npz"}})
     assert main(["run", str(bad), "-o", str(tmp_path / "out"), "--dry-run", "--device", "cpu"]) == 1
     said = capsys.readouterr().err
-    assert "none.npz' is not there" in said and "what 2 items would read is not there" in said
+    assert "none.npz' is not there" in said and "files that 2 items would read are missing" in said
 
 
 def test_a_dry_run_sees_what_a_killed_run_noted(files, tmp_path, capsys):

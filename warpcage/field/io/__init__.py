@@ -98,9 +98,10 @@ def _read(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldContents:
         return read_svox2(contents, path, SVOX2_LAYERS in npz_names(path, "field file"))
     if name == "warpcage fit":
         raise InputError(f"{path} is the checkpoint of a fit, not yet a field: run the same fit with it to the end")
-    raise InputError(
-        f"{path} is neither a warpcage nor a Plenoxels field: it holds {listed(npz_names(path, 'field file'))}"
-    )
+    names = npz_names(path, "field file")
+    if "selection" in names:
+        raise InputError(f"{path} is a selection, not a field: give it by --selection, with the field that it is of")
+    raise InputError(f"{path} is neither a warpcage nor a Plenoxels field: it holds {listed(names)}")
 
 
 def _check(field: FieldContents, path: pathlib.Path) -> None:

@@ -64,7 +64,7 @@ def read_gltf_motion(path: pathlib.Path, name: str = "", object: str = "") -> Gl
         if name and name not in animations and name not in shapes:
             known = [*animations, *shapes]
             held = f"only {listed(known)}" if known else "and nothing else that moves"
-            raise InputError(f"there is no animation or shape {name!r}, {held}")
+            raise InputError(f"there is no animation or shape key {name!r}, {held}")
         if len(animations) > 1 and not name:
             raise InputError(
                 f"it holds {len(animations)} animations ({listed(animations)}): name one, as in {path.name}:"

@@ -129,7 +129,7 @@ def _element_colors(
     if not (colors.min(initial=0.0) >= 0.0 and colors.max(initial=0.0) <= 1.0):  # false for NaN too
         wrong = int(np.flatnonzero(~((colors >= 0.0) & (colors <= 1.0)).all(axis=1))[0])
         raise InputError(
-            f"{path}: the colour of PLY {element} {wrong} is no colour: {(colors[wrong] * whites).tolist()}"
+            f"{path}: the colour of PLY {element} {wrong} is not a colour: {(colors[wrong] * whites).tolist()}"
         )
     return colors.astype(np.float32)
 

@@ -246,7 +246,7 @@ def read_usd_motion(path: pathlib.Path, name: str = "", object: str = "") -> Glt
     shapes = tuple(dict.fromkeys(shape for body in stage.bodies for shape in body.shape_names))
     if name and name not in shapes:
         held = f"only the shapes {listed(shapes)}" if shapes else "a USD file has one motion, without a name"
-        raise InputError(f"{path}: there is no animation or shape {name!r}: {held}")
+        raise InputError(f"{path}: there is no animation or shape key {name!r}: {held}")
     if name:
         return GltfMotion((name,), [stage.vertices(shapes={name: 1.0})])
     if len(stage.keys) > 1:

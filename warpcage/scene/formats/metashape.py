@@ -85,7 +85,7 @@ def _document(path: pathlib.Path) -> ET.Element:
     try:
         return ET.fromstring(data)
     except (ET.ParseError, ValueError, LookupError, RecursionError) as error:  # LookupError: an encoding
-        raise InputError(f"{path} is no XML file: {error_line(error, 300)}") from error
+        raise InputError(f"{path} is not an XML file: {error_line(error, 300)}") from error
 
 
 def _chosen(path: pathlib.Path, model: str | None) -> _Chunk:

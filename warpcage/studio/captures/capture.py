@@ -28,7 +28,7 @@ from .feature_masks import PictureMask, masks_of, write_feature_masks
 from .report import MOST_THUMBNAILS, THUMBNAIL, CaptureReport, make_contact_sheet, make_report
 from .scene_folder import cameras_of, object_box, placed, write_scene
 from .solving import HOW_TO, LEAST_PICTURES, Solution, doubts, solve
-from .sources import Source, chosen_names, read_sources, shrink_factor
+from .sources import ENDINGS, Source, chosen_names, read_sources, shrink_factor
 from .video import LEAST_STEP, FrameScores, pick_frames, scan_video, shrink_all, write_frames
 
 #: Counts up when what the folder holds changes its meaning.
@@ -160,6 +160,8 @@ def capture(
     seed = checked_whole(seed, "seed", 0, 2**31 - 1)
     if not source.exists():
         raise MissingFileError(f"video or folder {str(source)!r} is not there")
+    if source.is_file() and source.suffix.lower() in ENDINGS:
+        raise InputError(f"{str(source)!r} is one picture: give a folder of pictures, or a video; {HOW_TO}")
     require_new_folder(output)
     chosen = None if pictures is None else sorted(set(chosen_names(pictures)))
     if chosen is not None and not source.is_dir():
@@ -384,7 +386,7 @@ def _require_features(given: _Given, counts: np.ndarray, where: str) -> None:
             else "something with a pattern around the object, such as a newspaper under it,"
         )
         raise InputError(
-            f"the pictures of {str(given.source)!r} show too little to hold on to{where}, {usual:.0f} features each: "
+            f"the pictures of {str(given.source)!r} have too little detail to match{where}, {usual:.0f} features each: "
             f"more light, sharper pictures, or {help_by} help"
         )
 

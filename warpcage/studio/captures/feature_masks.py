@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ...core.checks import checked_path
-from ...core.files import atomic_path
+from ...core.files import atomic_path, seen_note
 from ...core.threads import cpu_threads, run_parallel
 from ...errors import InputError, MissingFileError
 from ...scene.masks import opacity_rows, with_masks
@@ -46,7 +46,9 @@ def masks_of(
         raise MissingFileError(f"masks {str(given)!r} are not there: give a folder of masks, or one picture for all")
     if given is not None and not given.is_dir():
         if given.suffix.lower() not in ENDINGS:
-            raise InputError(f"masks {str(given)!r} must be a folder of masks, or one picture for all")
+            raise InputError(
+                f"masks {str(given)!r} must be a folder of masks, or one picture for all{seen_note(given)}"
+            )
         return [PictureMask(given)] * len(sources)
     if given is None and not source.is_dir():
         return None

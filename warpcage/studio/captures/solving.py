@@ -150,7 +150,7 @@ def _require_whole(source: pathlib.Path, labels: Sequence[str], solution: Soluti
         if total >= MIN_ACROSS * agreement.inside(group):
             torn, rest = (f"({group_names(labels, each)})" for each in (group, first))
             raise InputError(
-                f"the cameras of {str(source)!r} come out torn: {len(group)} pictures {torn} do not fit to the "
+                f"the cameras of {str(source)!r} do not fit together: {len(group)} pictures {torn} do not fit to the "
                 f"other {len(first)} {rest}, of {total} matches between them {good} agree: capture one of these groups "
                 "alone (--pictures), add pictures taken between them, or leave out what looks alike in several places"
             )

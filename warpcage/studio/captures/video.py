@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.files import atomic_path, require_file
+from ...core.files import atomic_path, require_file, seen_note
 from ...core.names import agreed, counted
 from ...core.threads import cpu_threads
 from ...errors import InputError
@@ -176,7 +176,7 @@ def _opened(path: pathlib.Path) -> Any:
             container = av.open(name)
     except (FFmpegError, OSError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise InputError(f"{str(path)!r} cannot be read as a video: {reason}") from error
+        raise InputError(f"{str(path)!r} cannot be read as a video{seen_note(path)}: {reason}") from error
     if not container.streams.video:
         container.close()
         raise InputError(f"{str(path)!r} holds no video stream")

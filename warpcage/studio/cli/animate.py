@@ -74,7 +74,7 @@ def run_animate(args: argparse.Namespace) -> None:
     if not here and not scaled:
         args.device = "cpu"
     if not here and (args.add or shared.is_stage(args.field)):
-        raise InputError("--workers and --jobs render a field alone: leave them out where several things are shown")
+        raise InputError("--workers and --jobs render one field: leave them out for a scene of several objects")
     field, stage = read_things(args)
     if not here and getattr(args, "is_moved", False):
         raise InputError(
@@ -146,7 +146,7 @@ def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, give
             raise InputError("--loop is for keys at times (a pose file with times, an animation): see --motion")
         return
     if "frames" in given:
-        raise InputError("--frames does not go with keys at times, which say how long the film is: see --fps")
+        raise InputError("--frames is not for keys at times, the last of which ends the film: use --fps")
     args.loop = args.loop or film.loop or "once"
     if "fps" not in given:
         args.fps = motion.frame_rate(USUAL_RATE if film.fps is None else film.fps)

@@ -24,7 +24,7 @@ from ...cage.presets import is_preset
 from ...cage.snap import cut_matter, snap_to_gaps
 from ...cage.up_axis import load_standing
 from ...core.checks import checked_bounds
-from ...core.files import require_file, seen_note
+from ...core.files import check_parent, require_file, seen_note
 from ...core.names import counted
 from ...errors import InputError
 from ...field.surface import extract_mesh
@@ -51,6 +51,9 @@ if TYPE_CHECKING:
 
 #: Distance of a box or a cylinder from the object by default, as a share of the object's size.
 MARGIN = 0.03
+
+#: Where sessions of the demo are kept, in the current folder.
+DEMO_FOLDER = pathlib.Path("warpcage-demo")
 
 
 def run_cage(args: argparse.Namespace) -> None:
@@ -86,18 +89,18 @@ def run_cage(args: argparse.Namespace) -> None:
 
 
 def _snap(field: Any, args: argparse.Namespace, output: pathlib.Path) -> None:
-    """Move the walls of a cage to gaps, and say how much less they cut."""
+    """Move the sides of a cage to gaps, and say how much less they cut."""
     cage = Cage.load(args.snap, up=args.cage_up, object=args.cage_object)
     snapped = snap_to_gaps(cage, field, args.reach)
     snapped.save(output, up=args.cage_up)
     before, after = cut_matter(cage, field), cut_matter(snapped, field)
-    less = "which cut no matter" if not before else f"which cut {100 * (1 - after / before):.0f} % less matter"
+    less = "which cuts through nothing" if not before else f"which cuts through {100 * (1 - after / before):.0f} % less"
     print(f"wrote {output}: {len(snapped.vertices)} vertices, {len(snapped.faces)} faces, {less}")
 
 
 def _check_combination(args: argparse.Namespace) -> None:
     if (args.snap is None) != (args.reach is None):
-        raise InputError("--snap needs --reach, how far its walls may move, and --reach belongs to --snap")
+        raise InputError("--snap needs --reach, how far its sides may move, and --reach belongs to --snap")
     if args.snap is not None and any(value is not None for value in _selection(args).values()):
         raise InputError("--snap looks at all of the field: leave the options out that select a part of it")
     needs = {
@@ -505,14 +508,16 @@ def run_edit(args: argparse.Namespace) -> None:
     if args.demo:
         if args.cage or args.selection:
             raise InputError("--demo brings its own cage: leave --cage and --selection out")
+        if not args.session:
+            check_parent(DEMO_FOLDER / "session")
         args.field, demo_cage = map(str, demo_files(device))
     args.field = str(splat_path(args.field))
     require_file(args.field, "field file")
     kept = pathlib.Path(args.session) if args.session else session_path(args.field)
     if args.demo and not args.session:  # what is made with it belongs to the user: caches are emptied
-        if kept.exists():
-            print(f"an earlier session of the demo is kept: go on with it by --session {kept}", file=sys.stderr)
-        kept = pathlib.Path("warpcage-demo", kept.name)
+        if kept.exists() and not args.new:
+            print(f"an earlier session of the demo exists: continue it with --session {kept}", file=sys.stderr)
+        kept = DEMO_FOLDER / kept.name
         kept.parent.mkdir(exist_ok=True)
     if kept.exists() and (args.cage or args.selection) and not args.new:
         option = "--cage" if args.cage else "--selection"
@@ -534,7 +539,12 @@ def run_edit(args: argparse.Namespace) -> None:
         "allowed_hosts": args.allow_host,
     }
     with set_aside(kept) if args.new and kept.exists() else contextlib.nullcontext():
-        editor = edit(field, cages or None, session=kept, **options)
+        try:
+            editor = edit(field, cages or None, session=kept, **options)
+        except InputError as error:
+            if not str(error).startswith(f"{kept}: "):
+                raise
+            raise InputError(f"{error} (--new sets that file aside and begins anew)") from None
     with editor:
         print(f"edit {args.field} at {editor.url}\n(Ctrl+C ends; the session is kept in {kept})", flush=True)
         if not args.no_browser and not _opened(editor.url):
@@ -559,7 +569,7 @@ def set_aside(path: pathlib.Path) -> Iterator[None]:
         if not os.path.lexists(path):
             os.rename(other, path)
         raise
-    print(f"the session that was there is now {other}")
+    print(f"the earlier session is now {other}")
 
 
 def _opened(url: str) -> bool:

@@ -62,7 +62,7 @@ def run_doctor(args: argparse.Namespace) -> int:
     for finding in _findings(args.device):
         broken += finding.state == "broken"
         print(f"{finding.state:6}  {finding.what:12}  {finding.text}", flush=True)
-    print(f"{counted(broken, 'thing')} to mend" if broken else "warpcage works here")
+    print(f"{counted(broken, 'problem')} to fix" if broken else "warpcage works here")
     return 1 if broken else 0
 
 

@@ -100,7 +100,7 @@ def _bake_stage(args: argparse.Namespace) -> None:
     """Merge the things of a stage file."""
     given = ("frames", "overwrite", "selection", "cage", "edit", "edits", "frame_file")
     if wrong := [name for name in given if getattr(args, name) not in (None, False)]:
-        raise InputError(f"--{wrong[0]} does not go with a stage file, whose things are merged as they are")
+        raise InputError(f"--{wrong[0]} does not go with a scene file, whose objects are merged as they are")
     output = options.check_output(args.output, (".npz", *shared.splat_outputs()), "field file")
     shared.require_field_scale(args)
     stage = Stage.load(args.field, device=shared.chosen_device(args))
@@ -295,7 +295,7 @@ def run_select(args: argparse.Namespace) -> None:
     if args.masks is not None and args.depth is not None:
         raise InputError("--masks and --depth cannot be combined: give one of them")
     if args.plane == "none" and (args.plane_at is not None or args.clearance is not None):
-        raise InputError("--plane none leaves nothing out: --plane-at and --clearance belong to a plane")
+        raise InputError("--plane-at and --clearance need a plane: leave out --plane none")
     field = shared.read_field(args)
     corners = shared.visible_points(field, None, None)
     camera = chosen_camera(args, corners) if args.pixel or preview or args.save_camera else None

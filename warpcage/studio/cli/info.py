@@ -87,7 +87,7 @@ def run_info(args: argparse.Namespace) -> None:
     elif path.suffix.lower() == ".npz":
         rows = _field(path, args)
     elif path.suffix.lower() in USD_ENDINGS and not (path.suffix.lower() != ".usdz" and usd_counts(path)["mesh"]):
-        rows = [("kind", "stage of USD"), *_held(path), ("file", _file_size(path))]
+        rows = [("kind", "USD stage"), *_held(path), ("file", _file_size(path))]
     elif path.suffix.lower() in mesh_endings():
         rows = _cage(path)
     elif path.suffix.lower() == ".json":
@@ -95,7 +95,7 @@ def run_info(args: argparse.Namespace) -> None:
     else:
         raise InputError(
             f"{args.field!r} is not a field (.npz), splats ({' '.join(endings_read())}), cage "
-            f"({' '.join(mesh_endings())}), poses, edits, cameras, places or stages (.json) or scene "
+            f"({' '.join(mesh_endings())}), poses, edits, cameras, places, a scene file (.json) or scene "
             f"folder{seen_note(path)}{scene_around(path)}"
         )
     width = max(len(name) for name, _ in rows)
@@ -308,7 +308,7 @@ def _json(path: pathlib.Path) -> Rows:
         raise InputError(f"{path}: a session of the editor: `warpcage edits {path}` lists its edits")
     if not isinstance(kind, str) or kind not in kinds:
         raise InputError(
-            f"{path}: not a file of warpcage: its format is none of {', '.join(kinds)}{scene_around(path)}"
+            f"{path}: not a warpcage file: its format must be one of {', '.join(kinds)}{scene_around(path)}"
         )
     return kinds[kind](path)
 
@@ -359,11 +359,11 @@ def _edits(path: pathlib.Path) -> Rows:
 
 def _stage(path: pathlib.Path) -> Rows:
     things = read_stage_file(path)
-    rows: Rows = [("kind", "stage"), ("things", len(things))]
+    rows: Rows = [("kind", "scene file"), ("objects", len(things))]
     for thing in things:
         cages = counted(len(thing["deformation"]["edits"]), "edit") if "deformation" in thing else "no edits"
         hidden = ", hidden" if thing.get("hidden") else ""
-        rows.append((f"thing {thing['name']!r}", f"{thing['field']}, {cages}, {_placed(thing['place'])}{hidden}"))
+        rows.append((f"object {thing['name']!r}", f"{thing['field']}, {cages}, {_placed(thing['place'])}{hidden}"))
     return [*rows, ("file", _file_size(path))]
 
 

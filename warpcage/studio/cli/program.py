@@ -8,6 +8,7 @@ import errno
 import gc
 import importlib
 import os
+import re
 import signal
 import sys
 import threading
@@ -32,6 +33,13 @@ _FIRST = {
     "render": "--output --cage --posed --edits --view --camera --size --background --transparent --masks",
     "animate": "--output --cage --posed --edits --frames --fps --motion --turn --size --background",
     "fit": "--output --downscale --quality --resolution --epochs --steps --split-masks --refine-cameras --as --quiet",
+    "select": "--output --preview --point --pixel --in-box --sphere --plane --floaters --camera --view",
+    "clean": "--output --preview --floaters --parts --largest-scale --views --least-views --camera --view --size",
+    "mesh": "--output --cage --posed --edits --frames --threshold --colors --faces --texture --selection",
+    "cage": "--output --vertices --margin --method --box --cylinder --segments --selection --seed --floaters",
+    "pose": "--output --bend --twist --scale --rotate --translate --axis --towards --key --at",
+    "sweep": "--output --cage --poses --cameras --size --views --seeds --records --image --background",
+    "bake": "--output --cage --posed --edits --selection --voxels --format --frames --coordinates --device",
 }
 
 EXAMPLE = """\
@@ -72,10 +80,20 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
+#: What argparse says of wrong arguments, and what is said instead.
+_PLAIN = {
+    "^unrecognized arguments: (?=-)": "unknown option: ",
+    "^argument command: invalid choice: ": "unknown command: ",
+    "^argument (?=-)": "option ",
+}
+
+
 class _Parser(argparse.ArgumentParser):
     """Reports wrong arguments in one line, as every other bad input is reported."""
 
     def error(self, message: str) -> NoReturn:
+        for said, plain in _PLAIN.items():
+            message = re.sub(said, plain, message)
         raise InputError(f"{message} (see {self.prog} --help)")
 
     def keep_help_of(self, options: list[str]) -> None:
@@ -85,7 +103,7 @@ class _Parser(argparse.ArgumentParser):
             if action.option_strings and not {*action.option_strings} & {*options}:
                 hidden += action.help != argparse.SUPPRESS
                 action.help = argparse.SUPPRESS
-        places = " ".join(action.dest for action in self._actions if not action.option_strings)
+        places = " ".join(str(action.metavar or action.dest) for action in self._actions if not action.option_strings)
         self.usage = f"{self.prog} {places} -o OUTPUT [options]"
         examples = (self.epilog or "").partition("\n\n")[0].strip()
         self.epilog = f"{examples}\n\n{hidden} more options: {self.prog} --help all"

@@ -37,7 +37,7 @@ from .shared import read_deformation, read_things, things_of
 def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
     """Whether many pictures have opacity. Raises ValueError where their film or folder cannot hold what was asked."""
     if output.suffix and args.format is not None:
-        raise InputError("--format is for folders of pictures: the ending of a film says what it is")
+        raise InputError("--format is for folders of pictures: the file ending of a film says its format")
     require_format(args.format or "")
     transparent = shared.is_transparent(args)
     if transparent:
@@ -197,7 +197,7 @@ def run_render(args: argparse.Namespace) -> None:
     if args.posed is not None and len(args.posed) > 1:
         raise InputError(f"{len(args.posed)} poses make as many pictures: give a folder with -o, which has no ending")
     if args.format is not None:
-        raise InputError("--format is for folders of pictures: the ending of a single one says what it is")
+        raise InputError("--format is for folders of pictures: the file ending of a single one says its format")
     output = options.check_output(args.output, (".png", ".exr"), "picture")
     require_format(output)
     check_saved(args)
@@ -229,8 +229,8 @@ def run_render(args: argparse.Namespace) -> None:
     if not (frame.alpha > 0.0).any():
         places = " to ".join(str(corner.round(3).tolist()) for corner in field.bounds)
         print(
-            f"warpcage: warning: nothing is in the picture: the camera at {camera.center.round(3).tolist()} looks "
-            f"elsewhere than where the field's matter is, {places}",
+            f"warpcage: warning: nothing is in the picture: the camera at {camera.center.round(3).tolist()} does "
+            f"not look at the field, which reaches from {places}",
             file=sys.stderr,
         )
     if args.save_stage is not None and things is not None:

@@ -138,7 +138,7 @@ def _say(forecast: Forecast) -> int:
         print(f"warpcage: {name}: {line}", file=sys.stderr)
     if forecast.missing_count:
         count = counted(forecast.missing_count, "item")
-        print(f"warpcage: error: what {count} would read is not there", file=sys.stderr)
+        print(f"warpcage: error: files that {count} would read are missing", file=sys.stderr)
     return 1 if wrong else 0
 
 
@@ -209,7 +209,7 @@ def _check_words(args: argparse.Namespace) -> None:
     if re.match(r"orbit(:|$)", args.cameras):
         _orbit_words(args.cameras)
     if _random_count(args.cameras, "--cameras") is not None and args.views is not None:
-        raise InputError("--views chooses among cameras that all poses share: random:N makes N for each pose anew")
+        raise InputError("--views chooses among cameras that all poses share: random:N makes N new ones for each pose")
     if len(set(args.seeds)) < len(args.seeds):
         raise InputError(f"--seeds names one twice: {' '.join(map(str, args.seeds))}")
     if args.resolution is None and "harmonic" in args.coordinates:

@@ -65,10 +65,10 @@ def run_evaluate(args: argparse.Namespace) -> None:
     scene, given = in_world_of(field, scene), None
     if args.tune_cameras:
         scene = tuned_scene(require_voxels(field, "--tune-cameras"), scene)
-        print("the poses of these views were fitted to the field: the figures say how good it is, not where they are")
+        print("cameras were fitted to the field first: the figures rate the field, not the cameras")
     elif refined_cameras_of(field) is not None and not args.given_cameras:
         scene, given = moved_scene(field, scene), scene
-        print("the cameras of these views moved along with those near them that the fit refined; no view was looked at")
+        print("cameras were moved as the refined ones near them were, without a look at their pictures")
     found = evaluation_report(field, scene, given=given, progress=not args.quiet)
     rows, index = found.rows, scene.names.index(found.rows[found.worst]["view"])
     width = max(len("view"), *(len(row["view"]) for row in rows))

@@ -127,7 +127,7 @@ def parse_edit(text: str) -> EditWords:
     try:
         if rest is not None and (slip := _SLIP.fullmatch(rest)) and not pathlib.Path(rest).exists():
             raise InputError(
-                f"{slip[1]!r} is no word of an edit, only keep, remove, falloff=, held=, fragments= and object="
+                f"{slip[1]!r} is unknown in an edit, which takes keep, remove, falloff=, held=, fragments= and object="
             )
         words |= {name: positive_float(words[name]) for name in ("falloff", "fragments") if name in words}
         words |= {"held": held_walls(words["held"], "held")} if "held" in words else {}
@@ -243,8 +243,8 @@ def _say_moved(args: argparse.Namespace, path: PathLike, frame: Similarity, moti
     """Tell that a field was taken out of nerfstudio's frame; set `args.is_moved`, and `args.frame_motion` by which."""
     args.is_moved, args.frame_motion = True, motion  # camera paths of nerfstudio go along
     print(
-        f"warpcage: {args.field} is taken out of nerfstudio's frame by {path}: {1.0 / frame.scale:.4g} times as large, "
-        "turned and moved to where its dataset is",
+        f"warpcage: {args.field} is moved out of nerfstudio's coordinates by {path}: {1.0 / frame.scale:.4g} times as "
+        "large, turned and moved to where its dataset is",
         file=sys.stderr,
     )
 
@@ -390,11 +390,11 @@ def drawn_cages(renderer: AnyField | Deformer, deformation: Deformation | None) 
 def read_things(args: argparse.Namespace) -> tuple[AnyField, Stage | None]:
     """The field of a command that may show several things, and the stage where its file is one of a stage."""
     if args.fill and (args.add or is_stage(args.field)):
-        raise InputError("--fill is for a field alone: leave it out where several things are shown")
+        raise InputError("--fill is for one field: leave it out for a scene of several objects")
     if not is_stage(args.field):
         return read_field(args), None
     if is_deformed(args):
-        raise InputError("the things of a stage file have cages of their own: leave --cage, --edit and --edits out")
+        raise InputError("the objects of a scene file have cages of their own: leave --cage, --edit and --edits out")
     require_field_scale(args)
     stage = Stage.load(args.field, device=chosen_device(args))
     first = next(iter(stage.items.values()))

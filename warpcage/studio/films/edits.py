@@ -182,7 +182,7 @@ class EditReader:
         falloff = 0.0 if words.remove else self.falloff if words.falloff is None else words.falloff
         if words.held != "cut" and not falloff and not words.remove:
             raise InputError(
-                "held names the walls that an edit fades towards: give it a falloff=WIDTH, or leave held out"
+                "held names the sides that an edit fades towards: give it a falloff=WIDTH, or leave held out"
             )
         size = self.fragments if words.fragments is None else words.fragments
         edit = edit_of_words(dataclasses.replace(words, falloff=falloff, fragments=size), rest)

@@ -329,7 +329,7 @@ class _Shot:
         self.loop = next((each.loop for each in said if each.loop is not None), "once")
         moves = [] if move is None else camera_moves(move)
         if moves is None:
-            raise InputError(f"move {shown(move)} is no move of a camera: {MOVE_HELP}")
+            raise InputError(f"move {shown(move)} is not a camera move: {MOVE_HELP}")
         self.times = self._times(frames, bool(moves))
         self.track: CameraTrack = self._moving(moves) if moves else self._placed
 

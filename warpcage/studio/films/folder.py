@@ -90,7 +90,7 @@ def _read_note(note: pathlib.Path) -> dict:
     except ValueError:
         found = None
     if not isinstance(found, dict) or not {"frames", "field", "camera"} <= found.keys():
-        raise InputError(f"{str(note)!r} is no note of frames that warpcage wrote: give another folder")
+        raise InputError(f"{str(note)!r} is not a list of frames that warpcage wrote: give another folder")
     return found
 
 
@@ -149,7 +149,7 @@ def checked_film_path(path: PathLike, *, new: bool = True) -> pathlib.Path:
         endings = ", ".join(FILM_ENDINGS)
         raise InputError(f"film {str(target)!r} must end in {endings}, or have no ending: a folder of pictures")
     elif new and target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{str(target)!r} holds something already: give the name of a new folder")
+        raise InputError(f"{str(target)!r} is not empty: give the name of a new folder")
     elif target.exists() and not target.is_dir():
         endings = ", ".join(FILM_ENDINGS)
         raise InputError(f"film {str(target)!r} is a file without an ending: give {endings} or a folder")
@@ -171,7 +171,7 @@ def atomic_folder(path: PathLike) -> Iterator[pathlib.Path]:
             os.rename(temporary, target)
         except OSError as error:
             if os.path.lexists(target):
-                raise InputError(f"{str(path)!r} holds something already: give the name of a new folder") from error
+                raise InputError(f"{str(path)!r} is not empty: give the name of a new folder") from error
             raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

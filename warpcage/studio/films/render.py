@@ -107,7 +107,7 @@ def require_voxels(field: AnyThing, what: str) -> VoxelField:
 def require_fillable(field: AnyField, what: str) -> None:
     """Raises ValueError where there is nothing to fill; what: the option, as the message begins."""
     if require_voxels(field, what).background_model is None:
-        raise InputError(f"{what}: behind this field there is one colour, so that nothing is missing where it shows")
+        raise InputError(f"{what}: the background of this field is one colour, there is nothing to fill")
 
 
 def finished(image: np.ndarray) -> np.ndarray:

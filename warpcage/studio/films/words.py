@@ -213,7 +213,7 @@ def _moving_poses(rest: Cage, text: str, up: str | None, expected: Mapping[str, 
     if named := moving_file(text):
         file = file_poses(named[0], rest, name=named[1], up=up)
         if file is None and named[1]:
-            raise InputError(f"{named[0]}: there is no animation or shape {named[1]!r}: nothing moves in it")
+            raise InputError(f"{named[0]}: there is no animation or shape key {named[1]!r}: the file has no motion")
     elif files := numbered_files(text):
         likely = (expected or {}).get(ending(str(files[0])))
         file = sequence_poses(files, rest, up=up, expected=likely)
@@ -234,7 +234,7 @@ def matched(rest: Cage, posed: Cage, name: str) -> Cage:
     """The same; a line on stderr says where the order was another."""
     found = in_order(rest, posed, name)
     if not np.array_equal(posed.faces, rest.faces) or len(posed.vertices) != len(rest.vertices):
-        print(f"warpcage: cage {name!r} has another order than its rest cage: matched", file=sys.stderr)
+        print(f"warpcage: cage {name!r} has another order of vertices than its rest cage: matched", file=sys.stderr)
     return found
 
 
@@ -347,7 +347,7 @@ class References:
             if file is not None:
                 return _keyframe(file, name, place)
             if place:
-                raise InputError(f"{name}: there is no keyframe {place!r}: nothing moves in it")
+                raise InputError(f"{name}: there is no keyframe {place!r}: the file has no motion")
         return self._kept(name, "cage file", lambda path: _posed_file(path, edit, rest_cage), (rest_cage.hash, edit.up))
 
     def _drawn_pose(self, posed: dict[str, Any], rest_cage: RestCage) -> np.ndarray:

@@ -350,7 +350,7 @@ def _require_possible(given: dict[str, Any]) -> None:
     """Raise ValueError for words of a frame that do not go together."""
     outputs, edits = given["outputs"], given.get("edits")
     if any(edit.held != "cut" and not edit.falloff for edit in edits or ()):
-        raise InputError("'held' names the walls that an edit fades towards: give it a 'falloff' too")
+        raise InputError("'held' names the sides that an edit fades towards: give it a 'falloff' too")
     if len(set(outputs.values())) < len(outputs):
         raise InputError(f"two of the 'outputs' are one file: {', '.join(outputs.values())}")
     needing = [part for part in ("masks", "reveal", "fold", "outside") if part in outputs]

@@ -18,7 +18,16 @@ import numpy as np
 
 from ...cage.presets import is_preset
 from ...core.checks import listed, shown
-from ...core.files import JSON_ROOM, NpyFile, PathLike, atomic_path, file_stamp, require_file, require_version
+from ...core.files import (
+    JSON_ROOM,
+    NpyFile,
+    PathLike,
+    atomic_path,
+    file_stamp,
+    require_file,
+    require_version,
+    seen_note,
+)
 from ...core.memory import LRUCache, require_host_memory
 from ...edits.words import canonical, checked_words, one_of, split_reference, truth, whole
 from ...errors import InputError
@@ -36,7 +45,7 @@ from .items import (
 
 
 def _no_constant(name: str) -> Any:
-    raise InputError(f"{name} is no number of JSON")
+    raise InputError(f"{name} is not a number in JSON")
 
 
 _DECODER = json.JSONDecoder(parse_constant=_no_constant)
@@ -205,11 +214,15 @@ class JobFile:
     def _checked_header(self) -> dict[str, Any]:
         line = int(self._lines[0])
         where = f"{self.path}, line {line + 1}"
-        header = parsed_line(self._data(line), where, first=not line)
+        try:
+            header = parsed_line(self._data(line), where, first=not line)
+        except InputError as error:
+            asks = f"a job file begins with {_HEADER_SHAPE}{seen_note(self.path, 'JSON')}"
+            raise InputError(f"{error}; {asks}") from None
         if header.get("format") != FORMAT:
             raise InputError(
-                f"{where}: it is no header of a job file: its format is {shown(header.get('format'))}, not {FORMAT!r}; "
-                f"a job file begins with {_HEADER_SHAPE}"
+                f"{where}: it is not the header of a job file: its format is {shown(header.get('format'))}, not "
+                f"{FORMAT!r}; a job file begins with {_HEADER_SHAPE}"
             )
         try:
             require_version(header.get("version"), VERSION)

@@ -447,5 +447,5 @@ def _lock(file: IO[bytes], *, exclusive: bool) -> bool:
     except OSError as error:
         if error.errno not in _NO_LOCKS:
             raise
-        warn_caller(f"the file system of {str(file.name)!r} has no locks: nothing keeps a second run away")
+        warn_caller(f"the file system of {str(file.name)!r} has no locks: do not start a second run there")
     return True

@@ -89,8 +89,8 @@ def source_of(folder: pathlib.Path) -> pathlib.Path:
             if place.is_dir():
                 return place
     raise MissingFileError(
-        f"{folder}: the pictures are not there: {OPTIONS} names source_path {shown(named)}, which is no folder here, "
-        f"nor is {shown(name)} beside it; put it there, or give the folder of the scene itself"
+        f"{folder}: the pictures are not there: {OPTIONS} names source_path {shown(named)}, which is not a folder "
+        f"here, nor is {shown(name)} beside it; put it there, or give the folder of the scene itself"
     )
 
 
@@ -100,7 +100,7 @@ def read(folder: pathlib.Path, *, formats: Iterable[Any], split: str, downscale:
     source, given = source_of(folder), trained_options(folder)
     found = next((each for each in formats if each.name != NAME and each.is_scene(source)), None)
     if found is None:
-        raise InputError(f"{folder}: {str(source)!r}, where its pictures come from, is no scene of a known format")
+        raise InputError(f"{folder}: {str(source)!r}, where its pictures come from, is not a scene of a known format")
     smaller = re.fullmatch(r"images_([1-9]\d?)", str(given.get("images")))
     factor = int(smaller[1]) if smaller else 1
     scene = found.read(source, split=split, downscale=downscale * factor, **options)

@@ -36,14 +36,14 @@ command(
 field  field (.npz), splats or mesh ({MESHES})
 -o CAGE  cage to write ({CAGES})
 {CAGE_UP}
---object NAME  the object of a mesh file of several to put the cage around (default: all)
+--object NAME  of a mesh file of several objects, the one to put the cage around (default: all)
 --vertices N  approximate number of vertices of a cage wrapped around the object, 30 to 200 (default: 100)
 --margin LENGTH  distance between object and cage, world units (default: 0.03 of the object's size for a box or a
     cylinder, otherwise chosen from the object)
 --method  shell: an offset surface, decimated and pulled close; voxel: more even faces, like the paper's; auto: the
     tighter of the two (default: auto)
---symmetry  mirror the cage across the middle of this axis (voxel only)
-part of a larger field (if several are given, each selects from what the ones before leave):
+--symmetry  make the cage symmetric across the middle of this axis (voxel only)
+part of a larger field (several of these narrow it down one after another):
 --selection
 --in-box
 --masks
@@ -53,15 +53,15 @@ part of a larger field (if several are given, each selects from what the ones be
 one of:
 --box  a box along the axes
 --cylinder  a cylinder along --axis
---snap CAGE  this cage around a part of a field, each of its flat walls moved by up to --reach to where it cuts least
-    matter
+--snap CAGE  this cage around a part of a field, with each flat side moved by up to --reach to where it cuts through
+    least of the object
 options:
---reach LENGTH  of --snap, world units
+--reach LENGTH  how far --snap may move a side, world units
 --segments N...  segments along each axis of the box: one number, or one per axis (default: 1)
 --axis  axis of the cylinder (default: z)
 --sides N  sides of the cylinder (default: 12)
 --rings N  segments of the cylinder along its axis (default: 4)
---quiet  do not print what is tried, even with --verbose
+--quiet  print no progress, even with --verbose
 """,
     SCALE_AND_DEVICE,
     field={"metavar": "object"},
@@ -85,7 +85,7 @@ command(
 cage  cage to examine ({CAGES})
 --object OBJECT  field (.npz), splats or mesh that should be inside
 --posed POSED  a pose of the cage, a file or a preset, to examine for inverted volume, stretch and folds
---repair MENDED  repair what can be repaired safely, print what was done, write the cage to this file and examine it
+--repair FIXED  repair what can be repaired safely, print what was done, write the cage to this file and examine it
 --json  print the report as JSON instead of a table
 {CAGE_UP_FOUND}
 --posed-up
@@ -130,34 +130,34 @@ has; `warpcage animate --posed poses.json` makes the film. A direction with a mi
 """,
     f"""
 cage  cage to pose ({CAGES})
--o POSED  cage to write ({CAGES}; glTF and USD hold all frames of a
-    --posed file), or pose file that gets a key (.json)
+-o POSED  cage to write ({CAGES}; glTF and USD hold all frames of a --posed file), or pose file to add a key to (.json)
 {CAGE_UP}
 keys of a pose file (-o poses.json):
 --key NAME  name of the key; one of that name is replaced
---at SECONDS  when the film reaches it
---easing  how the way from it to the next key goes (default: smooth, or as it was)
---posed POSED  begin with this pose instead of the cage at rest: a cage file, a key of a pose file, or a preset. Without
-    --key: all keys of an animated glTF file, of its shapes, or of numbered files (walk_####.obj)
---camera FILE[:NAME]|SCENE:[SPLIT:]INDEX  the camera of the film at this key: of a camera file (render --save-camera
-    writes one) or of a scene's picture; without steps and --posed it is a key of the camera alone
+--at SECONDS  time of the key in the film
+--easing  easing from this key to the next (default: smooth, or as it was)
+--posed POSED  start from this pose instead of the cage at rest: a cage file, a key of a pose file, or a preset. Without
+    --key: all keys of an animated glTF file, its shape keys, or numbered files (walk_####.obj)
+--camera FILE[:NAME]|SCENE:[SPLIT:]INDEX  camera of the film at this key: from a camera file (render --save-camera
+    writes one) or of a scene's picture; without steps and --posed the key is of the camera only
 --remove  take the key out of the file
 --fps RATE  frames per second of the film
 --loop  what the film does at its end
 steps:
 --bend DEGREES  bend what lies along --axis into an arc in the direction of --towards
---twist DEGREES  turn about --axis, from nothing at the start to DEGREES at the end
+--twist DEGREES  rotate about --axis, from 0 at the start to DEGREES at the end
 --taper FACTOR  scale across --axis, by 1 at the start to FACTOR at the end
 --stretch FACTOR  scale along --axis
 --scale FACTOR...  scale by one factor, or by one per axis
---rotate DEGREES  turn about --axis
+--rotate DEGREES  rotate about --axis
 --translate X Y Z  move, world units
 where:
 --axis AXIS  axis of the steps: {AXIS_WORDS}. up is that of --up or --object; long, middle and short are those of the
     cage itself (default: %(default)s)
---towards AXIS  direction of a bend, in the same words; what is across --axis counts (default: x, or z if --axis is x)
---up X Y Z  what is up in the scene
---object FIELD  field of the cage (.npz): says what is up, and which axis points up in the file
+--towards AXIS  direction of a bend, given like --axis; only its part across --axis counts (default: x, or z if --axis
+    is x)
+--up X Y Z  direction that is up in the scene
+--object FIELD  field of the cage (.npz), from which up, and the up axis of the cage file, are taken
 --limits FROM TO  part of the extent along --axis that is bent, twisted, tapered or stretched, between 0 and 1 (default:
     0 1)
 --centre X Y Z  point that stays fixed, world units (default: middle of the bounding box)
@@ -177,7 +177,7 @@ where:
 command(
     "edits",
     "cages",
-    "write several edits of one scene to a file, or say what such a file holds",
+    "write several edits of one scene to a file, or describe such a file",
     """\
   warpcage edits -o house.edits.json --edit wing.obj:wing_up.obj --edit tower.obj:tower_aside.obj:keep \\
       --edit chimney.obj:remove
@@ -187,19 +187,18 @@ command(
   warpcage animate house.npz --edits house.edits.json -o house.mp4
 
 An edit is a cage and what becomes of what is in it: CAGE:POSED moves it to where the posed cage is, CAGE:POSED:keep
-leaves a copy where it was, CAGE:remove takes it away. CAGE:POSED:falloff=WIDTH holds the walls of the cage that cut
-through matter and fades to rest in a band of that width inside them, so that the part does not tear off (held=still:
-the walls that the pose leaves in place; held=3,4: these faces). fragments=SIZE takes pieces smaller than that along,
-which the cage cuts off. POSED is a cage file, a keyframe of a pose file (poses.json:NAME) or a preset (bend:40:x:z).
-Edits act in their order, each on what the ones before it left. A Windows drive (C:\\cage.obj:C:\\posed.obj) is no
-separator.
+leaves a copy where it was, CAGE:remove takes it away. CAGE:POSED:falloff=WIDTH holds the sides of the cage that cut
+through the object and fades out in a band of that width inside them, so that the part does not tear off (held=still:
+the sides that the pose leaves in place; held=3,4: these faces). fragments=SIZE takes loose pieces along that the cage
+cuts off, up to that size. POSED is a cage file, a keyframe of a pose file (poses.json:NAME) or a preset (bend:40:x:z).
+Edits act in order, each on the result of those before it. Windows paths may have a drive (C:\\cage.obj:C:\\posed.obj).
 
 The file is JSON, with paths relative to its own folder. Sessions of the editor (.session.json) are read too. Pictures
 of what edits do are in docs/edits.md.
 """,
     """
 file  edits file, or session of the editor (.session.json)
---edit CAGE:POSED[:keep]  an edit; give it again for the next. CAGE:remove takes away what is in the cage
+--edit CAGE:POSED[:keep]  an edit; repeat it for the next. CAGE:remove deletes what is in the cage
 -o FILE  edits file to write (.json)
 """,
     CAGE_UP,
@@ -211,7 +210,7 @@ file  edits file, or session of the editor (.session.json)
 def port_number(text: str) -> int:
     """A port, 0 for a free one."""
     if not (text.isascii() and text.isdigit()) or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is no port: 0 to 65535")
+        raise argparse.ArgumentTypeError(f"a port must be 0 to 65535, got {text!r}")
     return int(text)
 
 
@@ -223,25 +222,26 @@ command(
   warpcage edit --demo
   warpcage edit lego.npz --cage cage.obj
   warpcage edit scene.ply
-  warpcage edit both.stage.json                       (several things, as render --save-stage writes them)
+  warpcage edit both.stage.json                       (several objects, as render --save-stage writes them)
   warpcage edit lego.npz --port 8700 --no-browser     (then, at home: ssh -L 8700:127.0.0.1:8700 HOST)
 
-What is edited is kept beside the field, as NAME.session.json, and the next call goes on with it.
+Edits are saved beside the field, as NAME.session.json, and the next call continues with them.
 """,
     f"""
 field
 --demo  edit a brick excavator, which is fitted once and kept
---cage CAGE  cage at rest ({CAGES}); repeat it for several edits (default: the session's, or none; the page can make
-    one)
+--cage CAGE  cage at rest ({CAGES}); repeat it for several edits (default: those of the session, or none; the editor can
+    make them)
 {CAGE_UP_FOUND}
---selection FILE  also an edit with a cage around what is chosen by warpcage select (.npz, .json)
---session FILE  the session's file (default: beside the field)
---new  begin anew; a session that is there is kept under another name
+--selection FILE  also add an edit with a cage around the object of a selection file (warpcage select writes one: .npz,
+    .json)
+--session FILE  session file (default: beside the field)
+--new  start a new session; an existing one is kept under another name
 serving:
 --host ADDRESS  address to listen on (default: this machine only)
 --port  port to listen on (default: a free one)
---allow-host NAME  host name under which the page may be opened too, such as that of a proxy
---no-browser  print the address and open no browser
+--allow-host NAME  another host name that the page may be opened under, such as that of a proxy
+--no-browser  only print the address, open no browser
 """,
     SCALE_AND_DEVICE,
     field={"nargs": "?"},

@@ -28,7 +28,7 @@ from .options import (
 command(
     "select",
     "fields",
-    "choose an object of a scene, without what it stands on, by a click or a region",
+    "select an object of a scene by a click or a region, without the floor or wall it stands on",
     """\
   warpcage select room.npz -o cup.npz --point 0.2 0.1 0.4 --preview cup.png
   warpcage select fox.npz -o fox_chosen.npz --camera data/fox:12 --pixel 486 518 --plane wall --preview fox.png
@@ -40,25 +40,25 @@ command(
     f"""
 field
 -o SELECTION  selection to write ({" ".join(SELECTION_ENDINGS)}); cage, mesh, bake and edit take it by --selection
---preview PICTURE  also write a view with what is chosen tinted green (.png)
-click (kept is what hangs together with it; repeat it for more):
+--preview PICTURE  also write a picture with the selection tinted green (.png)
+click (selects what is connected to that place; repeat it for more):
 --point X Y Z  a place on the object, world units
 --pixel COLUMN ROW  a pixel of the view that shows the object, from 0 at the top left
-region (if several are given, each selects from what the ones before leave):
+region (several of these narrow it down one after another):
 --in-box
 --sphere X Y Z RADIUS  what is in a sphere, world units
 --in-cage CAGE  what is in a cage ({CAGES})
 {CAGE_UP_FOUND}
 --masks
---depth NEAR FAR  what the cameras of --views show at these distances from them, world units
---views FILE|SCENE[:SPLIT]  camera file, or scene of the cameras, of --depth
-what the object stands on, which is left out:
---plane  ground: a level plane, such as a floor or a table; wall: an upright one; any: either, whatever is up; none: it
-    stands on nothing (default: %(default)s)
---plane-at X Y Z  a point on the plane, where several could be it (default: the one that fits)
---clearance LENGTH  distance above the plane from which on matter is the object's, world units (default: by how even the
-    plane is, a voxel or two)
-of what is left:
+--depth NEAR FAR  what the cameras of --views see at these distances from them, world units
+--views FILE|SCENE[:SPLIT]  camera file, or scene whose cameras --depth uses
+floor or wall that the object stands on, which is left out:
+--plane  ground: a level plane, such as a floor or a table; wall: an upright one; any: either, in any direction; none:
+    leave nothing out (default: %(default)s)
+--plane-at X Y Z  a point on the plane, where there are several (default: the one that fits)
+--clearance LENGTH  height above the plane at which the object begins, world units (default: by how flat the plane is, a
+    voxel or two)
+parts of the selection:
 --parts
 --floaters
 """,
@@ -73,7 +73,7 @@ of what is left:
 command(
     "clean",
     "fields",
-    "remove what hangs loose in a field, and what no view shows",
+    "remove loose parts (floaters) of a field, and what no camera sees",
     """\
   warpcage clean place.ply -o clean.ply --preview gone.png
   warpcage clean place.ply -o clean.ply --views data/room --largest-scale 0.5
@@ -82,17 +82,17 @@ command(
 """,
     """
 field
--o FIELD  field to write (.npz, of splats as they come)
---preview PICTURE  also write a view with what went tinted red (.png)
-what hangs loose (splats fainter than 1/255 go too):
---floaters SHARE  connected parts with fewer voxels than this share of the largest, and more than three voxels away from
-    what is kept; 0 for none (default: %(default)s)
---parts N  all but the N largest connected parts (default: none)
---largest-scale LENGTH  splats only: those with a standard deviation above this, world units (default: none)
-what no view shows:
---views FILE|SCENE[:SPLIT]  camera file, or scene of the cameras, that must show what is kept
---least-views N  so many of them must show it (default: 1)
---least-weight WEIGHT  rendering weight from which a view shows something: of a splat summed over the pixels of a
+-o FIELD  field to write (.npz; splats: any of their formats)
+--preview PICTURE  also write a picture with what was removed tinted red (.png)
+loose parts (splats fainter than 1/255 are removed too):
+--floaters SHARE  remove connected parts with fewer voxels than this share of the largest, and more than three voxels
+    away from what is kept; 0 for none (default: %(default)s)
+--parts N  remove all but the N largest connected parts (default: none)
+--largest-scale LENGTH  splats only: remove those with a standard deviation above this, world units (default: none)
+what no camera sees:
+--views FILE|SCENE[:SPLIT]  camera file, or scene whose cameras must see what is kept
+--least-views N  number of cameras that must see it (default: 1)
+--least-weight WEIGHT  rendering weight from which a camera sees something: of a splat summed over the pixels of a
     picture of at most 800, of a voxel the largest of any pixel (default: 0.01)
 """,
     VIEW,
@@ -116,16 +116,15 @@ command(
     f"""
 field
 -o MESH  mesh to write ({MESHES}; glTF with y up)
---frames N  so many, evenly, from rest to the last pose ({" ".join(MOTION_ENDINGS)}; default: those of a film whose keys
-    have times, at its rate, else the last pose alone)
+--frames N  number of frames, evenly from rest to the last pose ({" ".join(MOTION_ENDINGS)}; default: those of a film
+    whose keys have times, at its rate, else the last pose only)
 --threshold SIGMA  density at the surface, per world unit (default: chosen from the field)
 --components  which connected parts to keep (default: %(default)s)
---colors  write the colours of the surface at its vertices, as they are seen from straight ahead (glTF, USD, .ply,
-    .obj; default: for glTF and USD)
---faces N  simplify the surface to about so many, which films and textures are made of sooner (default: all)
---texture PIXELS  write the colours as a picture of so many pixels a side, finer than those of vertices and in their
-    place (.glb, .gltf; take --faces 20000 or so with it)
---as-captured  in the coordinates of the scene's files, for a field that was straightened (warpcage fit --straighten)
+--colors  write vertex colours, as the surface is seen from the front (glTF, USD, .ply, .obj; default: for glTF and USD)
+--faces N  simplify the surface to about this many faces, which makes films and textures quicker (default: all)
+--texture PIXELS  write a texture of this many pixels a side, finer than vertex colours and instead of them (.glb,
+    .gltf; use --faces 20000 or so with it)
+--as-captured  in the coordinates of the scene's files, for a field of warpcage fit --straighten
 --selection
 """,
     cages("POSED...", FOLLOWING),
@@ -138,7 +137,7 @@ field
 command(
     "bake",
     "fields",
-    "make a new field of a deformed one, that needs no cage: voxels are resampled, splats moved",
+    "write a deformed field as a new one that needs no cage: voxels are resampled, splats moved",
     """\
   warpcage bake lego.npz --cage cage.obj --posed posed.obj -o bent.npz
   warpcage bake lego.npz --cage cage.obj --posed twist:60 -o twisted.npz --format svox2 --voxels 512
@@ -153,12 +152,13 @@ command(
 """,
     f"""
 field
--o FIELD  field to write (.npz, of splats as they come; .nvdb, .vdb: a volume for other programs, deformed or not)
+-o FIELD  field to write (.npz; splats: any of their formats), or .nvdb, .vdb: a volume for other programs, deformed or
+    not
 --voxels N  voxels along the longest side of the deformed scene (default: voxels as large as the field's)
 --format  file format; svox2 is a Plenoxels checkpoint (default: warpcage)
---frames N  splats only: so many files from rest to the pose, -o walk_####.ply with the # for the number
---overwrite  of --frames: also remove the files of a longer sequence of that name (default: a warning names them)
---selection FILE  only what is chosen, cut out of its scene, by warpcage select (.npz, .json)
+--frames N  splats only: number of files from rest to the pose; -o walk_####.ply has # for the digits of the number
+--overwrite  with --frames: also remove files of a longer sequence of that name (default: a warning names them)
+--selection FILE  only the object of a selection file, cut out of its scene (warpcage select writes one: .npz, .json)
 {FRAME}
 """,
     deformation(resolution="128"),

@@ -12,7 +12,7 @@ SHEET_PICTURES, SHEET_SIDE = 100, 160
 command(
     "info",
     "info",
-    "describe a field, a cage, poses, edits, cameras, places, a stage or a scene; without a file: versions and devices",
+    "describe a field, cage, pose, edit, camera, place or scene file, or a scene folder; without one this installation",
     """\
   warpcage info
   warpcage info lego.npz
@@ -22,15 +22,15 @@ command(
   warpcage info place --seen seen.png                        from where it was seen
 """,
     f"""
-field  field (.npz), splats ({" ".join(SPLATS_READ)}), cage ({CAGES}), poses, edits, cameras, places
-    or stages (.json) or scene folder
---split  split of a scene (default: %(default)s)
+field  field (.npz), splats ({" ".join(SPLATS_READ)}), cage ({CAGES}), poses, edits, cameras, places, a scene file
+    (.json) or a scene folder
+--split  which pictures of a scene, such as train or test (default: %(default)s)
 --format
 --sheet PICTURE  write a contact sheet of a scene's pictures, at most {SHEET_PICTURES} of them (.png)
 --box PICTURE  write a picture of a scene's cameras, points and object's box (.png)
---seen PICTURE  write a map of what the cameras of a scene, or those that a field's fit refined, saw of the object:
-    directions and places that fewer than three cameras show are guesswork (.png)
---scene SCENE[:SPLIT]  scene whose cameras a field is compared with: whether they see it
+--seen PICTURE  write a map of what the cameras of a scene, or those refined by a field's fit, saw of the object (.png):
+    where fewer than three cameras saw it, the field is a guess
+--scene SCENE[:SPLIT]  check whether the cameras of this scene see the field
 {FRAME}
 """,
     SCALE_AND_DEVICE,
@@ -74,13 +74,13 @@ the modules that launch its kernels, in host/, the licence, and a README.md with
 command(
     "demo",
     "doctor",
-    "go the whole way, from pictures to a bent object, on a small scene that is made for it",
+    "try all steps, from pictures to a bent object, on a small scene that it makes",
     """\
   warpcage demo
   warpcage demo -o out --device cuda:0
 
 Makes an excavator of bricks with pictures of it, fits a field to them, puts a cage around it and bends it. The folder
-has the pictures, the film, the mesh, the cages and the field then; the seconds of each stage are told.
+then has the pictures, the film, the mesh, the cages and the field; the seconds of each step are printed.
 """,
     """
 -o FOLDER  where results go (default: %(default)s)
@@ -92,7 +92,7 @@ has the pictures, the film, the mesh, the cages and the field then; the seconds 
 command(
     "doctor",
     "doctor",
-    "look whether warpcage works on this machine, and say what to do where it does not",
+    "check whether warpcage works on this machine, and say how to fix what does not",
     """\
   warpcage doctor
   warpcage doctor --device cuda:0

@@ -267,25 +267,24 @@ COLORS = f"{', '.join(BACKGROUNDS)}, or three numbers in [0, 1] such as 0.2,0.3,
 SHARED = f"""
 field  field file: voxels (.npz) or splats ({" ".join(SPLATS_READ)}), or an output
     folder of 3D Gaussian Splatting
---antialias  splats only: weaken those that are smaller than a pixel, for files that were fitted in that way
-    (Mip-Splatting); others get thinner where they are far away (default: as the file says)
+--antialias  splats only: antialiasing of Mip-Splatting, for files trained with it; other files get too thin in the
+    distance by it (default: as the file says)
 --cage-object NAME  the object that is the cage in a file of several (OBJ, glTF); '*' takes all as one cage
 --device NAME  Warp device, "cpu" or "cuda:0" (default: CUDA where there is one)
---fill  fill the background that an edit uncovers and no picture showed by a smooth continuation of what is around it;
-    masks show it violet (default: it is shown as the fit left it)
+--fill  fill background that an edit uncovers and no picture showed with a smooth continuation of its surroundings;
+    violet in masks (default: leave it as fitted)
 --floaters SHARE  leave out connected parts with fewer voxels than this share of the largest, e.g. 0.01
 --format NAME  scene format (default: detected)
---in-box X0 Y0 Z0 X1 Y1 Z1  what lies between two opposite corners, world units
---map  splats only. forward: they move by the coordinates of the cage at rest; backward: they go where voxels under the
-    same cage would be (default: forward)
---masks SCENE  what is opaque in every training picture of a scene
---parts N  the N largest connected parts
---posed-up  axis that points up in posed cage files (default: that of --cage-up; or found, file by file, where it is not
-    given)
+--in-box X0 Y0 Z0 X1 Y1 Z1  what is in the box between two opposite corners, world units
+--map  splats only. forward: move them by the coordinates of the cage at rest; backward: put them where voxels under the
+    same cage would go (default: forward)
+--masks SCENE  what is opaque, or white in the masks, in every training picture of a scene
+--parts N  only the N largest connected parts
+--posed-up  axis that points up in posed cage files (default: that of --cage-up; without it, guessed for each file)
 --quiet  no progress bar
 --scene-scale FACTOR  undo a scaling: the factor by which the positions of a scene were multiplied before its field was
     fitted, 2/3 for Plenoxels checkpoints of NeRF-synthetic scenes (default: 1)
---selection FILE  only what is chosen by warpcage select (.npz, .json)
+--selection FILE  only the object of a selection file (warpcage select writes one: .npz, .json)
 """
 
 #: How their values are taken, and those of options below, or of commands whose help differs.
@@ -317,8 +316,8 @@ SHARED_VALUES: dict[str, Any] = {
 
 #: The axis that points up in cage files: that of their format, or found by an object that is there.
 CAGE_UP = """
---cage-up  axis that points up in cage files (default: y for glTF, z for other formats; Blender exports OBJ with y
-    unless told otherwise)
+--cage-up  axis that points up in cage files (default: y for glTF, z for other formats; Blender exports OBJ with y up
+    unless its export settings say z)
 --cage-object
 """
 
@@ -336,15 +335,15 @@ options:
 
 #: The background of pictures that may have none, and the files that a folder of them holds.
 CLEAR_BACKGROUND = f"""
---background COLOUR  {COLORS} (default: the field's own); {TRANSPARENT}: none, for files that keep opacity
+--background COLOUR  {COLORS} (default: the field's own); {TRANSPARENT}: none, for file formats with an alpha channel
 --transparent  the same as --background {TRANSPARENT}
---format  what a folder of pictures holds: png (colours not multiplied by opacity), or exr (linear light, multiplied by
-    opacity, with depth) (default: png)
+--format  file format in a folder of pictures: png (alpha not premultiplied), or exr (linear light, premultiplied alpha,
+    with depth) (default: png)
 """
 
 #: What is said of a file of --frame.
-FRAME_HELP = """a file of
-    nerfstudio (dataparser_transforms.json): the splats are in its frame, and are taken to where the dataset is"""
+FRAME_HELP = """a
+    dataparser_transforms.json of nerfstudio: moves splats from its coordinates into those of the dataset"""
 
 #: That of commands without a view, and how its value is taken.
 FRAME = f"--frame FILE  {FRAME_HELP}"
@@ -353,43 +352,43 @@ FRAME_VALUE = {"dest": "frame_file"}
 #: The camera of a picture.
 VIEW = f"""
 view (default: from above and to one side, with the whole object in the picture):
---camera FILE[:NAME]|SCENE:[SPLIT:]INDEX  camera of a file (--save-camera writes one; .glb and .gltf as Blender exports
-    them), or of a scene's picture, e.g. data/lego:test:3 (default split: train)
---view  side that the camera looks from, with the field's up (default: corner)
---frame rest|posed|FILE  what is in the picture where no camera is given: the field at rest, so that pictures of all
-    poses can be compared, or the cages at rest and posed, and what lies in none of them (default: rest); {FRAME_HELP}
---save-camera FILE  also write the camera, or all of a film (.json)
+--camera FILE[:NAME]|SCENE:[SPLIT:]INDEX  a camera file (--save-camera writes one; .glb and .gltf as Blender exports
+    them), or the camera of a scene's picture, e.g. data/lego:test:3 (default split: train)
+--view  side that the camera looks from; up is the field's (default: corner)
+--frame rest|posed|FILE  what the picture frames where no camera is given: rest: the object at rest, so that pictures of
+    all poses can be compared; posed: the cages at rest and posed, and everything outside them (default: rest);
+    {FRAME_HELP}
+--save-camera FILE  also write the camera to a file (.json); of a film, all its cameras
 --eye X Y Z  position of the camera, world units
 --target X Y Z  point that it looks at, world units
 --up X Y Z  direction that points up in the picture (default: up in the training pictures of the field)
 --fov DEGREES  horizontal field of view (default: %(default)s)
---size PIXELS...  width, or width and height, or a shape, as in 800, 1920x1080, 16:9 or 1080 9:16; a width alone makes a
-    square, or keeps the shape of --camera's picture. Another shape than that shows the most of it that fits in, cut at
-    two sides; the word widen after it shows all of it, and more at two sides (default: 400, or the size of --camera's
-    picture)
+--size PIXELS...  width, width and height, or aspect ratio: 800, 1920x1080, 16:9 or 1080 9:16. A width alone makes a
+    square, or keeps the aspect ratio of --camera's picture. Another aspect ratio crops that picture; add the word widen
+    to see more at its sides instead (default: 400, or the size of --camera's picture)
 """
 
 
 #: The scene that a command reads, and which of its pictures.
 SCENE = """
 scene  folder with pictures and cameras
---split  which pictures (default: %(default)s)
+--split  which pictures of a scene, such as train or test (default: %(default)s)
 --format
 one of:
 --no-masks  ignore the mask files of a scene: whole pictures are used, with their background
---split-masks  split the pictures at the masks, into the object and its surroundings, which become layers behind it
---weight-masks  ignore what is black in the masks, such as people who walk by; pictures stay whole
+--split-masks  split pictures by the masks, into the object and its surroundings, which become layers behind it
+--weight-masks  ignore pixels that are black in the masks, such as passers-by, and use all others
 options:
 --downscale N  shrink the pictures by averaging N x N pixels (default: %(default)s)
---cameras FILE  camera file (.json) that has a camera for each picture, by its name, instead of those of the scene: as
-    `fit --refine-cameras` writes it
+--cameras FILE  camera file (.json) with a camera for each picture, by its name, instead of those of the scene; `fit
+    --refine-cameras` writes one
 --model NAME  which of several models in a scene, such as "1" (default: the one with most pictures)
 """
 
 
 #: What several words of --posed make of a film.
 FOLLOWING = """. Several, or all keyframes of a pose file (poses.json), follow one another. An animated glTF file
-    (walk.glb), numbered files (walk_####.obj) or their folder are taken frame for frame"""
+    (walk.glb), numbered files (walk_####.obj) or their folder give one pose a frame"""
 
 
 def deformation(
@@ -399,8 +398,8 @@ def deformation(
     return f"""{cages(posed, several)}\
 --resolution N  lattice cells along the longest side of the cage, or "precise" to evaluate the coordinates at every
     sample (mean_value and green only) (default: {resolution})
---density  opacity: parts keep their opacity when they are scaled; paper: they keep their density, as in the paper
-    (default: %(default)s)
+--density  what parts keep when they are scaled. opacity: their opacity; paper: their density, as in the paper
+    (Deforming Radiance Fields with Cages) (default: %(default)s)
 --map
 """
 
@@ -412,27 +411,27 @@ deformation (--cage and --posed, or --edit, or --edits; without them the field i
 --cage REST  cage around the undeformed object ({CAGES})
 --posed {posed}  the same cage with its vertices moved: a cage file, a keyframe of a pose file (poses.json:NAME), or a
     preset such as bend:40:x:z, twist:60 or scale:0.8{several}
---edit CAGE:POSED[:keep]  one of several edits; give it again for the next, which acts on what the ones before it left.
-    POSED as for --posed. CAGE:POSED:keep leaves a copy where it was, CAGE:remove takes away what is in the cage,
-    CAGE:POSED:falloff=WIDTH is a --falloff of its own
---falloff WIDTH  hold the walls of a cage that cut the visible, and let the edit fade to rest in a band of this width
-    inside them, world units, so that a part does not tear off (default: no wall is held)
---fragments SIZE  take pieces smaller than this, world units, that a cage cuts off its part, along with the part
-    (default: they stay)
+--edit CAGE:POSED[:keep]  one of several edits; repeat it for the next, which acts on the result of those before it.
+    POSED as for --posed. CAGE:POSED:keep leaves a copy in place, CAGE:remove deletes what is in the cage,
+    CAGE:POSED:falloff=WIDTH has a --falloff of its own
+--falloff WIDTH  hold the sides of a cage that cut through the object, and fade the edit out in a band of this width
+    inside them, world units, so that a part does not tear off (default: no side is held)
+--fragments SIZE  take loose pieces that a cage cuts off along with its part, up to this size, world units (default:
+    they stay)
 --crumbs SIZE  {argparse.SUPPRESS}
---edits FILE  all edits from a file (warpcage edits writes one), or those of a session of the editor (.session.json)
+--edits FILE  edits file (warpcage edits writes one), or a session of the editor (.session.json)
 {CAGE_UP_FOUND}
 --posed-up
---coordinates  kind of coordinates (default: %(default)s)
+--coordinates  kind of cage coordinates (default: %(default)s)
 """
 
 
 def things(more: str = "") -> str:
     """What is shown beside the field, in one scene; more: other rows of the group."""
     return f"""
-several things in one scene (FIELD may be a stage file, .stage.json, too):
---add FIELD[:PLACE[:EDITS]]  also show another field, or a mesh (.glb .obj .ply), where a place file (.json) says, posed
-    by an edits file (.json) of its own; repeat it for more. A place file:
+several objects in one scene (FIELD may also be a scene file, .stage.json):
+--add FIELD[:PLACE[:EDITS]]  add another field, or a mesh (.glb .obj .ply), placed by a place file (.json) and posed by
+    an edits file (.json) of its own; repeat it for more. A place file:
     {{"position": [1, 0, 0], "turn": [0, 0, 90], "scale": 0.5}}
 {more}"""
 

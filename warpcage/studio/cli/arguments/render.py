@@ -42,25 +42,25 @@ command(
 """,
     f"""
 field
--o PICTURE  picture to write (.png, .exr), or folder: a picture of each pose
+-o PICTURE  picture to write (.png, .exr), or a folder for a picture of each pose
 many pictures:
---cameras  given: one picture from each camera of --scene; interpolate: pictures along a smooth path through them. The
+--cameras  given: a picture from each camera of --scene; interpolate: pictures along a smooth path through them. The
     output is then a folder or a film (.mp4, .gif, .mov, .webm)
 --scene FILE|SCENE[:SPLIT]  camera file, or scene of the cameras, e.g. data/lego:test (default split: train)
 --frames N  pictures of --cameras interpolate (default: {STEPS} from each camera to the next)
 options:
---disparity PICTURE  also write the disparity in colour (.png)
+--disparity PICTURE  also write the disparity (inverse depth) in colour (.png)
 --depth PICTURE  also write the depth in grey, near is white (.png)
 --alpha PICTURE  also write the opacity (.png)
---masks PICTURE  also write what is turned inside out (red), what was uncovered (blue) and where the posed cage has
-    nothing to show (yellow) (.png), and warn of how much there is of each
+--masks PICTURE  also write what is turned inside out (red), background that was uncovered (blue) and places where the
+    posed cage shows nothing (yellow) (.png), and print how much there is of each
 --overlay  draw the cage into the picture
 {CLEAR_BACKGROUND}
 --fill
 --antialias
 """,
     deformation("POSED...", ". Several, or all keyframes of a pose file, make a picture each, in a folder"),
-    things("--save-stage FILE  also write the scene as one file (.stage.json)"),
+    things("--save-stage FILE  also write a scene file of all objects (.stage.json)"),
     VIEW,
     SCALE_AND_DEVICE,
     cameras=("interpolate", "given"),
@@ -88,7 +88,7 @@ def _leave_to_sessions(parser: argparse.ArgumentParser) -> None:
 command(
     "animate",
     "animate",
-    "render a film from rest through the poses and back, with the camera turning around the object",
+    "render a film: from rest through the poses and back, or by the times of their keys",
     """\
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
   warpcage animate lego.npz --cage cage.obj --posed bend:45:y:z -o bend.gif --frames 24 --turn 0 --size 240
@@ -104,9 +104,9 @@ command(
   warpcage animate lego.npz --cage cage.obj --posed posed.obj --frames 240 --jobs film.jsonl
   warpcage run film.jsonl -o frames
 
-An output without an ending is a folder of pictures, PNG or EXR (--format). Opacity is kept by those, .mov (ProRes 4444)
-and .webm (VP9); colours are multiplied by opacity in EXR files alone. If the command is interrupted, run it
-again: it renders only what is missing of a folder.
+An output without a file extension is a folder of pictures, PNG or EXR (--format). These, .mov (ProRes 4444) and .webm
+(VP9) have an alpha channel, premultiplied in EXR files only. If the command is interrupted, run it again: it renders
+only the frames that a folder lacks.
 
 The film goes from rest through the poses of --posed in order. Each vertex moves straight or smoothly from pose to
 pose. If all poses are the same preset, its amount changes instead, so that a bend stays an arc.
@@ -122,33 +122,34 @@ then, and appears when all of its pictures are there.
 field
 one of these:
 -o FILM  film (.mp4, .gif, .mov, .webm) or folder of pictures
---jobs FILE  render nothing, but write a job file (.jsonl) of the frames: warpcage run makes them, over GPUs and
+--jobs FILE  render nothing, but write a job file (.jsonl) of the frames: warpcage run renders them, on several GPUs or
     machines
 options:
---workers N  processes that render, one a GPU, or with a part of the cores each where there is none (default: this one)
---frames N  number (default: %(default)s)
+--workers N  processes that render, one a GPU, or with a share of the CPU cores each where there is none (default: this
+    one)
+--frames N  number of frames (default: %(default)s)
 --fps RATE  frames per second, such as 24, 12.5, 29.97 or 30000/1001, which is the same (default: %(default)s)
 --motion  swing: to the last pose and back; once: to the last pose; hold: posed throughout (default: %(default)s)
 --loop  what a film of keys at times does at its end: once, with its first and its last moment, so that 2 s at 24 a
     second are 49 frames; loop: begin again; ping-pong: go back to its beginning
     (default: what the pose file says, or once)
---interpolation  linear: straight from pose to pose at constant speed; smooth: without jolts at the poses and slow at
+--interpolation  linear: straight from pose to pose at constant speed; smooth: through the poses without a stop, slow at
     both ends (default: %(default)s)
 --overwrite  replace the frames of another film that are in the folder
 a session of the editor:
---session FILE  session file (.session.json), instead of all that it holds
+--session FILE  session file (.session.json): its object, edits, keys, camera and settings make the film
 camera path:
---turn DEGREES  how far the camera turns around the target; 0 keeps it still (default: 0 where the poses have times,
-    else 360, but where the cameras of the pictures are known there and back within what they saw)
---full-turn  all the way round, also through what no picture showed: --turn 360
+--turn DEGREES  how far the camera turns around the target; 0 keeps it still (default: 0 where the poses have times;
+    otherwise 360, or there and back within what the cameras of the fitted pictures saw, where these are known)
+--full-turn  all the way around, also where no picture was taken: --turn 360
 --cameras MOVE|FILE|SCENE[:SPLIT]  move the camera instead by {MOVE_HELP};
     or move through the cameras of a file (.json, .glb, .gltf; at their times where they have some), or of a scene's
     pictures, e.g. data/lego:test (default split: train)
---shutter DEGREES[:N]  motion blur: how long the shutter is open, of 360 degrees a frame (180 is usual), by the mean of
-    N moments in linear light (default: {SUBFRAMES})
+--shutter DEGREES[:N]  motion blur: how long the shutter is open, of 360 degrees a frame (180 is usual), by averaging N
+    moments in linear light (default: {SUBFRAMES})
 options:
 --show  rgb; alpha; depth (near is white) or disparity, on one scale for the whole film; masks: what is turned inside
-    out, what was uncovered and where a posed cage has nothing to show, with a warning of how much (default:
+    out, background that was uncovered and places where a posed cage shows nothing, and print how much (default:
     %(default)s)
 --overlay  draw the cage into the pictures
 {CLEAR_BACKGROUND}

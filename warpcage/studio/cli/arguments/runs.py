@@ -28,34 +28,34 @@ command(
 """,
     f"""
 field
--o JOBS  job file to write (.jsonl); poses and cameras go beside it
+-o JOBS  job file to write (.jsonl), with poses and cameras beside it
 poses:
 --cage REST  cage around the undeformed object ({CAGES})
 --poses POSES...  random:N for each seed; posed cage files, pose files (all keyframes of poses.json, or
     poses.json:NAME), animated glTF files, numbered files (walk_####.obj); arrays of vertices (.npy, (poses, vertices,
     3)); rest; and presets such as bend:40:x:z (default: random:100)
---seeds SEED...  seeds of random poses; the first is that of random cameras too (default: 0)
---stretch LEAST LARGEST  bounds of random poses: lengths in the pose over lengths at rest, everywhere (default: 0.5 2)
---reach LEAST MOST  how far random poses go, as shares of the farthest that the bounds allow (default: 0.3 1)
+--seeds SEED...  random seeds of poses; the first is also that of cameras (default: 0)
+--stretch LEAST LARGEST  limits of random poses: lengths in the pose over lengths at rest, everywhere (default: 0.5 2)
+--reach LEAST MOST  strength of random poses, as shares of the most that --stretch allows (default: 0.3 1)
 --modes MODE...  what random poses are made of: {", ".join(MODES)} (default: all)
---write-poses  draw random poses now and write them beside the job file, which takes some 30 ms of a core each; then
-    cameras that are made see every pose whole (default: workers draw them, each what it makes)
---falloff WIDTH  for a cage around a part: hold the walls that cut the visible, and let poses fade to rest in a band
-    of this width inside them, world units (default: no wall is held)
+--write-poses  make the random poses now and write them beside the job file, about 30 ms each; orbit and random cameras
+    then frame every pose whole (default: each worker makes the poses that it renders)
+--falloff WIDTH  for a cage around a part: hold the sides that cut through the object, and fade poses out in a band of
+    this width inside them, world units (default: no side is held)
 {CAGE_UP_FOUND}
 --posed-up
 cameras:
---cameras CAMERAS  orbit:N[:ELEVATION]: a circle around all poses; random:N: N places above the horizon, others for each
-    pose; a camera file (.json, .glb); a transforms.json; or a scene, SCENE[:SPLIT] (default: orbit:8)
---views N  see each pose from N of the cameras, chosen at random (default: from all)
+--cameras CAMERAS  orbit:N[:ELEVATION]: a circle around all poses; random:N: N random positions above the horizon, new
+    ones for each pose; a camera file (.json, .glb); a transforms.json; or a scene, SCENE[:SPLIT] (default: orbit:8)
+--views N  render each pose from N of the cameras, chosen at random (default: from all)
 --fov DEGREES  horizontal field of view of orbit and random (default: %(default)s)
---size PIXELS...  width, or width and height, or a shape such as 16:9, as for render (default: 400, or the size of the
+--size PIXELS...  width, width and height, or aspect ratio such as 16:9, as for render (default: 400, or the size of the
     cameras' pictures)
 pictures:
---coordinates KIND...  kinds of coordinates, each of which makes all pictures: {", ".join(COORDINATES)} (default:
-    {FIELD_COORDINATES})
+--coordinates KIND...  kinds of cage coordinates; all pictures are rendered with each: {", ".join(COORDINATES)}
+    (default: {FIELD_COORDINATES})
 --resolution N  lattice cells along the longest side of the cage, or "precise" (default: by the size of the picture)
---density  as for render (default: %(default)s)
+--density  what parts keep when they are scaled, as for render (default: %(default)s)
 --map
 --antialias
 --background COLOUR  {COLORS} (default: {TRANSPARENT}; of JPEG files white); {TRANSPARENT}: opacity in the picture;
@@ -63,10 +63,10 @@ pictures:
 --supersampling N  rays along each side of a pixel (default: that of the field)
 records (docs/sweeps.md):
 --records  folder: files, with transforms.json for each pose and for all; webdataset: tar shards (default: %(default)s)
---image  pictures (default: %(default)s)
---items-per-shard N  pictures of a shard (default: 1000)
---no-depth  leave depth out
---no-alpha  leave opacity out
+--image  file format of pictures (default: %(default)s)
+--items-per-shard N  pictures in a shard (default: 1000)
+--no-depth  write no depth
+--no-alpha  write no opacity
 """,
     SCALE_AND_DEVICE,
     "--quiet",
@@ -89,7 +89,7 @@ records (docs/sweeps.md):
 command(
     "run",
     "runs",
-    "make all that a job file describes: frames, fits and evaluations, over several GPUs or machines",
+    "run a job file: render frames, fit fields and evaluate them, on several GPUs or machines",
     """\
   warpcage run jobs.jsonl -o frames
   warpcage run jobs.jsonl -o frames --dry-run
@@ -99,20 +99,19 @@ command(
 """,
     """
 jobs  job file (.jsonl), as docs/batch.md describes it
--o DIR  folder of what is made, and of manifest.jsonl, which says what became of each item. What is there already and
-    whose inputs did not change is kept
---workers N  processes that work, one a GPU, or with a part of the cores each where there is none (default: 1; on a
+-o DIR  output folder; its manifest.jsonl records how each item ended. Outputs whose inputs did not change are kept
+--workers N  processes that work, one a GPU, or with a share of the CPU cores each where there is none (default: 1; on a
     cluster all of its GPUs)
 --cluster ADDRESS  work on a cluster, which needs Ray, at an address such as 10.0.0.1:6379, or "auto" for the one that
     this machine belongs to; all its machines see the files under the same paths
---part K/N  make the K-th of N equal ranges of the items, such as 3/16, beside runs of others; a run without it joins
-    their manifests (docs/farms.md)
---retries N  how often an item is tried again, elsewhere where possible, after the death of its worker or an error that
-    is not one of its input (default: %(default)s)
---item-timeout SECONDS  end the worker of an item that takes longer, loading included, and try the item again like one
-    of a worker that died. One worker is a process of its own then (default: no limit)
---dry-run  say what would be made, what is there already, and how long it would take, from an item of each kind that is
-    made once and thrown away
+--part K/N  run only the K-th of N equal parts of the job, such as 3/16, beside other runs; a run without it joins their
+    manifests (docs/farms.md)
+--retries N  how often to retry an item, on another worker where possible, after its worker crashed or after an error
+    that is not one of its input (default: %(default)s)
+--item-timeout SECONDS  stop an item that takes longer, loading included, and retry it as after a crash. A single worker
+    is then a process of its own (default: no limit)
+--dry-run  only say what would be made, what exists already, and how long it would take, measured on one item of each
+    kind whose output is thrown away
 --device
 --quiet
 """,

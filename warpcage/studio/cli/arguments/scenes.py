@@ -21,15 +21,15 @@ command(
 source  video, or folder of pictures (.jpg .png .webp .bmp .tif)
 -o SCENE  folder to write, new or empty: a scene for fit
 --pictures FILE  text file that names the pictures of the folder to use, one a line
---masks FOLDER  masks of the pictures, whose white parts alone count: NAME.png or NAME.jpg.png for picture NAME.jpg,
+--masks FOLDER  masks of the pictures, white where they are used: NAME.png or NAME.jpg.png for picture NAME.jpg,
     frame_00012.png for frame 12 of a video; or one picture for all (default: `masks` in the folder of pictures or
-    beside it, and the pictures' own opacity)
---no-masks  look at whole pictures
---turntable  an object turns before a camera that stands still: what stays at its pixels does not count
---frames N  most frames of a video that are taken: the sharp ones, spread along its way (default: %(default)s)
---feature-size PIXELS  longer side at which features are looked for; more is more exact and takes longer (default:
+    beside it, and the opacity of the pictures)
+--no-masks  use whole pictures
+--turntable  for an object that turns in front of a fixed camera: ignore what stays still in the picture
+--frames N  most frames to take of a video: sharp ones, spread over its camera path (default: %(default)s)
+--feature-size PIXELS  longer side of pictures while features are detected; larger is more exact and slower (default:
     %(default)s)
---seed  seed of the random numbers (default: %(default)s)
+--seed  random seed (default: %(default)s)
 --quiet
 """,
     source={"metavar": "VIDEO|FOLDER"},
@@ -54,35 +54,35 @@ command(
     f"-o FIELD  field file to write: of voxels (.npz) or of splats ({SPLATS})",
     SCENE,
     f"""
---as  what to make: voxels show objects best, above all with masks or opacity, splats whole places (default: by the
-    ending of --output)
---background COLOUR  {COLORS} (default: white, behind pictures with opacity); or what is behind the object during the
-    fit: random (random colours, for pictures with opacity), outer (voxels before and behind the object's box, to
-    infinity), layers (of pictures behind it), constant, or auto: random for pictures with opacity, outer for whole ones
-    (default: auto)
---straighten  turn the scene so that what is up for its cameras is +z; the field keeps the turn, by which cameras of the
-    scene are turned too
+--as  what to fit: voxels (best for objects, above all with masks or opacity) or splats (best for whole places)
+    (default: by the ending of --output)
+--background COLOUR  {COLORS} (default: white, behind pictures with opacity); or what the fit takes as background:
+    random (random colours, for pictures with opacity), outer (voxels before and behind the object's box, to infinity),
+    layers (of pictures behind it), constant, or auto: random for pictures with opacity, outer for whole ones (default:
+    auto)
+--straighten  rotate the scene so that up in its pictures is +z; the field file keeps this rotation, so that the scene's
+    cameras still match it
 --quality  detail, at the cost of time: fast takes about half as long; high 3 to 9 times as long, with up to twice the
     memory, for about 1 dB where cameras are exact and views many, and for little elsewhere (default: %(default)s)
 --checkpoint FILE  save the progress to this file (.npz), and continue from it if it exists
 --checkpoint-seconds N  time between two checkpoints (default: %(default)s)
---preview PICTURE  write this picture (.png) anew every 20 seconds: a picture of the scene beside the field so far;
-    before the first, of voxels, the cameras, points and the box of the object
+--preview PICTURE  write this picture (.png) again every 20 seconds: a picture of the scene beside the field so far; at
+    first, for voxels, the cameras, points and box of the object
 --resolution N  voxels along the longest side (default: follows the size of a pixel at the object)
 --max-memory SIZE  device memory that the fit may take, pictures included, such as 4GB or 800MiB. If it is short,
     pictures are kept at 8 bits per channel, and voxels stay larger (default: most of what is free)
 --epochs N  passes over the pixels that see the object (default: depends on --quality)
---steps N  splats: pictures that are drawn
---most-splats N  splats: how many at the end
---variation FACTOR  factor on the total variation: higher is smoother (default: chosen from the pictures, at least 30
-    for density and 15 for colours with masks or surroundings)
+--steps N  splats only: training steps, one picture each
+--most-splats N  splats only: most of them at the end
+--variation FACTOR  weight of total variation: higher is smoother (default: chosen from the pictures, at least 30 for
+    density and 15 for colours with masks or surroundings)
 --bounds X0 Y0 Z0 X1 Y1 Z1  box around the object, world units (default: found from the pictures)
 one of:
 --refine-cameras  refine poses, focal lengths and the exposure of each picture with the field, for cameras that are not
     exact; the refined ones are written beside it (.cameras.json)
---check-cameras  find out while fitting whether cameras are off, and refine them so where they are; one line says which
+--check-cameras  find out during the fit whether cameras are off, and refine them only then; one line says which
 options:
---seed  seed of the order of the pixels (default: %(default)s)
+--seed  random seed (default: %(default)s)
 --device
 --quiet
 """,
@@ -112,10 +112,11 @@ command(
 {FRAME} (default: one beside the field or
     the scene, where that makes it show the pictures)
 one of:
---given-cameras  keep the cameras of the views as they are given. Otherwise those of fields of refined cameras go along
-    with the refined ones near them, no view being looked at, and the mean of the given ones is told too
---tune-cameras  turn and shift the camera of each view first so that it matches the field best, as is usual for fields
-    of refined cameras: the figures then say how good the field is, not where the views are
+--given-cameras  use the cameras as they are given. By default, where the field has refined cameras, each camera is
+    moved as the refined ones near it were, without a look at its picture, and the mean of the given cameras is printed
+    too
+--tune-cameras  first move and turn the camera of each view to match the field best, as is usual for fields with refined
+    cameras: the figures then rate the field, not the cameras
 """,
     SCALE_AND_DEVICE,
     "--quiet",
