@@ -33,14 +33,14 @@ pytest_plugins = ["tiers", "needs", "costs"]
 
 #: Most workers of a run on a CPU, and beside a GPU, where each of them has a context of its own; and how many there are
 #: more than cores, as some tests wait: for a browser, or for another process.
-MOST_WORKERS, MOST_WORKERS_CUDA, MORE_THAN_CORES = 8, 4, 1
+MAX_WORKERS, MAX_WORKERS_CUDA, MORE_THAN_CORES = 8, 4, 1
 
 #: Files whose tests take longest come first, so that no worker is left with one of them at the end.
 LONGEST = ("test_batch_kills.py", "test_examples.py", "test_capture.py", "test_capture_input.py", "test_batch_run.py")
 
 
 def pytest_xdist_auto_num_workers(config):
-    most = MOST_WORKERS_CUDA if wp.is_cuda_available() else MOST_WORKERS
+    most = MAX_WORKERS_CUDA if wp.is_cuda_available() else MAX_WORKERS
     return min((os.cpu_count() or 1) + MORE_THAN_CORES, most)
 
 

@@ -19,7 +19,7 @@ from library.splats import times_by_turns
 import warpcage
 from warpcage.fitting.evaluation import ssim
 from warpcage.fitting.splats import checked_splat_options
-from warpcage.splats.io.contents import LEAST_OPACITY
+from warpcage.splats.io.contents import MIN_OPACITY
 
 #: Views, factor on their size and on the number of points of the fit that compiles kernels, and steps of gsplat's.
 WARM_VIEWS, WARM_SHRINK, WARM_STEPS = 8, 8, 40
@@ -277,7 +277,7 @@ def warm_scene(scene: warpcage.Scene) -> warpcage.Scene:
 
 def splat_facts(field: warpcage.SplatField) -> dict:
     """How many splats there are, and how many of them can be seen."""
-    return {"splats": len(field), "splats_seen": int((field.opacities >= LEAST_OPACITY).sum())}
+    return {"splats": len(field), "splats_seen": int((field.opacities >= MIN_OPACITY).sum())}
 
 
 def scores(renderer, test: warpcage.Scene, device) -> dict:

@@ -33,7 +33,7 @@ WARM = 3.0
 RESTS = 10
 
 #: Bytes of a picture of the page.
-MOST_BYTES = 200_000
+MAX_BYTES = 200_000
 
 
 # Drags
@@ -559,5 +559,5 @@ def shot(window, path: pathlib.Path) -> None:
     picture.quantize(256, kmeans=8, dither=Image.Dither.NONE).save(path, optimize=True)
     size = path.stat().st_size
     print(f"{path}: {picture.width}x{picture.height}, {size} bytes")
-    if size >= MOST_BYTES:
-        raise SystemExit(f"{path} has {size} bytes, {MOST_BYTES} are allowed")
+    if size >= MAX_BYTES:
+        raise SystemExit(f"{path} has {size} bytes, {MAX_BYTES} are allowed")

@@ -23,7 +23,7 @@ forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.array2d(dtype=w
 
 #: Every face takes the float64 path where the sum of weights is between these over the size, as it is well outside.
 CANCELLED = wp.constant(10.0)
-LEAST_INSIDE = wp.constant(5.0)
+MIN_INSIDE = wp.constant(5.0)
 
 #: Points this close to a face, as a share of the size, count as on it.
 SNAP = wp.constant(wp.float64(1.0e-6))
@@ -165,7 +165,7 @@ def face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
 def has_cancelled(total: float, size: float):
     """Whether the weights, of this sum, cancel, as they do well outside the cage, where it is negative save for
     rounding: all faces are for float64 then. Inside it is the integral of 1 / distance, 7 / size or more."""
-    return total * size > -CANCELLED and total * size < LEAST_INSIDE
+    return total * size > -CANCELLED and total * size < MIN_INSIDE
 
 
 @wp.func(inline=False)

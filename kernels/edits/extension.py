@@ -17,7 +17,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3))
 
 #: Most steps of the search for a place that the map leads to a given point.
-MOST_STEPS = wp.constant(12)
+MAX_STEPS = wp.constant(12)
 
 
 @wp.struct
@@ -112,7 +112,7 @@ def find_places(
     best = goal
     error = float(1.0e30)
     step = int(0)
-    while step < MOST_STEPS and error > enough:
+    while step < MAX_STEPS and error > enough:
         reached = continued_position(walls, x)
         off = wp.length(reached - y)
         if off < error:

@@ -33,7 +33,7 @@ FINE_SIZE = wp.constant(0.25)
 FINE_FAR = wp.constant(5)
 
 #: A fine cell whose image meets more rows of the grid's cells is looked at: it is stretched out of all proportion.
-MOST_ROWS = wp.constant(64)
+MAX_ROWS = wp.constant(64)
 
 #: Bytes of 1, and what takes four bits to the lowest of four bytes each.
 BYTES_OF_ONE = wp.constant(wp.uint32(0x01010101))
@@ -61,7 +61,7 @@ def cells_are_empty(grid: VoxelGrid, lower: wp.vec3, upper: wp.vec3):
     if empty > farthest or empty <= nearest:  # all of the box is nearer than what is nearest, or that lies in it
         return empty > farthest
     if farthest > 1:
-        if (size[0] + 1) * (size[1] + 1) > MOST_ROWS:
+        if (size[0] + 1) * (size[1] + 1) > MAX_ROWS:
             return False
         return cells_of_box_are_empty(grid, low, low + size)
     # three cells along each axis at most: their rows are read at once, as each read is waited for

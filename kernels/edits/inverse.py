@@ -20,7 +20,7 @@ NEWTON_STEPS = wp.constant(6)
 CELL_MARGIN = wp.constant(1.0e-3)
 
 #: A cell whose image holds more nodes than this, which one thread would look through, is squeezed beyond all use.
-MOST_NODES = wp.constant(4096)
+MAX_NODES = wp.constant(4096)
 
 #: No cell's number.
 NO_CELL = wp.constant(2147483647)
@@ -157,7 +157,7 @@ def scatter_cells(
             begin[axis] = int(wp.ceil(wp.max(lower[axis] - CELL_MARGIN, 0.0)))
             end[axis] = int(wp.floor(wp.min(upper[axis] + CELL_MARGIN, float(owners.shape[axis] - 1)))) + 1
         size = wp.vec3(float(end[0] - begin[0]), float(end[1] - begin[1]), float(end[2] - begin[2]))
-        if wp.min(size) > 0.0 and size[0] * size[1] * size[2] > float(MOST_NODES):
+        if wp.min(size) > 0.0 and size[0] * size[1] * size[2] > float(MAX_NODES):
             folds[0] = 1
             return
         for a in range(begin[0], end[0]):

@@ -15,7 +15,7 @@ eight_weights = wp.types.vector(length=8, dtype=wp.float32)
 forward_only = forward_only_in(__name__, (eight_weights, wp.vec3))
 
 #: Samples of a ray that float32 tells apart; rays that meet nothing begin beyond them.
-MOST_SAMPLES = wp.constant(8388608.0)
+MAX_SAMPLES = wp.constant(8388608.0)
 
 #: C++ of several functions: numbers of eight rows, each in its weight, added up. Both widths are known while compiling.
 BLENDED_ROW = """
@@ -197,8 +197,8 @@ def exit_of_cell(offset: wp.vec3, inverse_rate: wp.vec3, reach: int):
 
 @wp.func
 def sample_index_after(t: float, step: float):
-    """Index of the first sample at or beyond distance t, at most MOST_SAMPLES."""
-    return int(wp.min(wp.ceil(t / step - 0.5), MOST_SAMPLES))
+    """Index of the first sample at or beyond distance t, at most MAX_SAMPLES."""
+    return int(wp.min(wp.ceil(t / step - 0.5), MAX_SAMPLES))
 
 
 @wp.struct

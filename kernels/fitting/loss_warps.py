@@ -42,7 +42,7 @@ HEADS = wp.constant(32 * 4 * 5)
 HEAD = wp.constant(8)
 SAMPLES = wp.constant(32 * 4 * 5 + 4 * 8)
 SAMPLE = wp.constant(7)  # odd, so that lanes read from different banks
-MOST_SAMPLES = wp.constant((WARP_NUMBERS - 32 * 4 * 5 - 4 * 8) // 7)
+MAX_SAMPLES = wp.constant((WARP_NUMBERS - 32 * 4 * 5 - 4 * 8) // 7)
 
 
 @wp.func
@@ -258,7 +258,7 @@ def accumulate_photometric_gradient_by_warps(
                     radiance_own = wp.max(raw, 0.0)
                     if march < subray_count:
                         color += weight * radiance_own
-                        if kept < MOST_SAMPLES:
+                        if kept < MAX_SAMPLES:
                             keeping = radiance_own
                             slot = 3 + lane
                             if lane == 3:
@@ -291,7 +291,7 @@ def accumulate_photometric_gradient_by_warps(
             mean_color += color / float(subray_count)
             left_over += transmittance
             count_kept = kept - first_kept
-            if kept > MOST_SAMPLES:  # no room: the adjoint marches again
+            if kept > MAX_SAMPLES:  # no room: the adjoint marches again
                 kept = first_kept
                 count_kept = -1
             if lane < 3:

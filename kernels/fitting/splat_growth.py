@@ -18,9 +18,9 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 forward_only = forward_only_in(__name__, (float, float))
 
 #: Most copies of one splat, and its greatest opacity, of which copies are made.
-MOST_COPIES = wp.constant(51)
+MAX_COPIES = wp.constant(51)
 
-MOST_OPACITY = wp.constant(0.999)
+MAX_OPACITY = wp.constant(0.999)
 
 #: Units of an opacity of 1 when places are drawn.
 OPACITY_UNITS = wp.constant(16777216.0)
@@ -29,13 +29,13 @@ OPACITY_UNITS = wp.constant(16777216.0)
 #: this small.
 SLOPE_UNITS = wp.constant(1.0e8)
 
-LEAST_SLOPE = wp.constant(1.0e-8)
+MIN_SLOPE = wp.constant(1.0e-8)
 
 
 @wp.func
 def split_opacity(opacity: float, copies: int):
     """Opacity and factor on the scales of each of so many copies of a splat, together as it is seen."""
-    o = wp.float64(wp.min(opacity, MOST_OPACITY))
+    o = wp.float64(wp.min(opacity, MAX_OPACITY))
     one = wp.float64(1.0)
     part = one - wp.pow(one - o, one / wp.float64(copies))
     total = wp.float64(0.0)
@@ -64,7 +64,7 @@ def weigh_splats(
         logs = values.log_scales[n]
         square = squares.centers[n]
         size = wp.exp((logs[0] + logs[1] + logs[2]) / 3.0)
-        slope = wp.max(SLOPE_UNITS * size * wp.sqrt(square[0] + square[1] + square[2]), LEAST_SLOPE)
+        slope = wp.max(SLOPE_UNITS * size * wp.sqrt(square[0] + square[1] + square[2]), MIN_SLOPE)
         weight = wp.int64(opacity * OPACITY_UNITS * wp.sqrt(wp.sqrt(slope)))
     weights[n] = weight
 
@@ -125,8 +125,8 @@ def clear_means(n: int, means: SplatValues, squares: SplatValues):
 def shared_values(source: int, copies: int, least: float, values: SplatValues):
     """Logit, and what is added to the logarithms of scales, of each of the copies of a splat and of itself."""
     opacity = 1.0 / (1.0 + wp.exp(-values.logits[source]))
-    part, factor = split_opacity(opacity, wp.min(copies + 1, MOST_COPIES))
-    part = wp.clamp(part, least, MOST_OPACITY)
+    part, factor = split_opacity(opacity, wp.min(copies + 1, MAX_COPIES))
+    part = wp.clamp(part, least, MAX_OPACITY)
     return wp.log(part / (1.0 - part)), wp.log(factor)
 
 

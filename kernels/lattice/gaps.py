@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3))
 
 #: Most sides that an entry of side_index has room for, and the mask of the bits that count them.
-MOST_SIDES = wp.constant(7)
+MAX_SIDES = wp.constant(7)
 
 
 @wp.func
@@ -202,7 +202,7 @@ def entry_length(levels: NodeLevels, rows: CutRows, cell: int):
         if loose != 0:
             count += side_count(levels, rows, beside, loose, links_there)
             directions = directions | (8 << direction)
-    return wp.min(count, MOST_SIDES) | directions
+    return wp.min(count, MAX_SIDES) | directions
 
 
 @wp.func
@@ -227,7 +227,7 @@ def count_column_sides(
             if is_marked(side_index, column, k, shape[2]):
                 entry = entry_length(levels, rows, column * shape[2] + k)
                 side_index[column * shape[2] + k] = -1 - entry
-                count += entry & MOST_SIDES
+                count += entry & MAX_SIDES
     total = sum_of_lanes(float(count))
     if lane == 0:
         counts[column] = int(total)
@@ -293,9 +293,9 @@ def list_column_sides(
             entry = int(0)
             if marked:
                 entry = -1 - side_index[cell]
-            length = entry & MOST_SIDES
+            length = entry & MAX_SIDES
             begin = row + 0
-            for bit in range(3):  # MOST_SIDES is below 8
+            for bit in range(3):  # MAX_SIDES is below 8
                 lengths = ballot((length >> bit) & 1)
                 begin += bit_count(bits_before(lengths, lane)) << bit
                 row += bit_count(lengths) << bit

@@ -13,8 +13,8 @@ ONE = wp.constant(wp.float64(1.0))
 TINY = wp.constant(wp.float64(1.0e-300))
 
 #: Least climb over a plane that a lift along the mean normal is divided by, and least evenness.
-LEAST_CLIMB = wp.constant(wp.float64(0.05))
-LEAST_EVEN = wp.constant(wp.float64(1.0e-3))
+MIN_CLIMB = wp.constant(wp.float64(0.05))
+MIN_EVEN = wp.constant(wp.float64(1.0e-3))
 
 #: 2 sqrt(3), which makes the evenness of an equilateral triangle 1.
 EVEN_SCALE = wp.constant(wp.float64(3.4641016151377544))
@@ -93,9 +93,9 @@ def measure_collapses(
             below = offsets[e, r] - paired_dot(normals[e, r], base)
             if below > on_plane:
                 climb = paired_dot(normals[e, r], mean)
-                if climb < LEAST_CLIMB:
+                if climb < MIN_CLIMB:
                     return
-                lift = wp.max(lift, below / wp.max(climb, LEAST_CLIMB))
+                lift = wp.max(lift, below / wp.max(climb, MIN_CLIMB))
     place = wp.vec3d(base[0] + lift * mean[0], base[1] + lift * mean[1], base[2] + lift * mean[2])
 
     whole = count - count % 8
@@ -134,7 +134,7 @@ def measure_collapses(
                 if not (turn > least_turn and even > least_even):
                     return
                 square = wp.max(square, wp.max(square_ab, wp.max(square_bc, square_ca)))
-                lack = ONE / wp.max(even, LEAST_EVEN) - ONE
+                lack = ONE / wp.max(even, MIN_EVEN) - ONE
                 if r < whole:
                     sums[r % 8] = sums[r % 8] + lack
                 else:

@@ -14,11 +14,11 @@ NO_PICTURE = wp.constant(-1)
 HEADLIGHT = wp.constant(-2)
 
 #: Light that a face under the headlight gives when it is seen along its surface; 1 when it is seen from the front.
-LEAST_LIGHT = wp.constant(0.3)
+MIN_LIGHT = wp.constant(0.3)
 
 #: Clear surfaces that a ray passes at most, and the light behind which nothing is looked for.
-MOST_SURFACES = wp.constant(32)
-LEAST_TRANSMITTANCE = wp.constant(1.0e-3)
+MAX_SURFACES = wp.constant(32)
+MIN_TRANSMITTANCE = wp.constant(1.0e-3)
 
 
 @wp.struct
@@ -73,7 +73,7 @@ def surface_color(mesh_colors: SurfaceColors, face: int, u: float, v: float, cos
         uv = u * mesh_colors.uv[i] + v * mesh_colors.uv[j] + w * mesh_colors.uv[k]
         return wp.cw_mul(color, picture_color(mesh_colors, mesh_colors.pictures[number], uv))
     if number == HEADLIGHT:
-        light = LEAST_LIGHT + (1.0 - LEAST_LIGHT) * wp.abs(cosine)
+        light = MIN_LIGHT + (1.0 - MIN_LIGHT) * wp.abs(cosine)
         return wp.vec4(light * color[0], light * color[1], light * color[2], color[3])
     return color
 
@@ -100,7 +100,7 @@ def cast_surface_rays(
     total = float(0.0)
     begin = float(0.0)
     met = int(0)
-    while met < MOST_SURFACES and light > LEAST_TRANSMITTANCE and begin < farthest:
+    while met < MAX_SURFACES and light > MIN_TRANSMITTANCE and begin < farthest:
         query = wp.mesh_query_ray(mesh, camera.center + begin * direction, direction, farthest - begin)
         if query.result:
             distance = begin + query.t

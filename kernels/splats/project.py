@@ -21,8 +21,8 @@ from .splats import Splats, splat_color
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
 #: Nothing is drawn of a splat below this.
-LEAST_ALPHA = wp.constant(1.0 / 255.0)
-LOG2_LEAST_ALPHA = wp.constant(-7.994353436858858)
+MIN_ALPHA = wp.constant(1.0 / 255.0)
+LOG2_MIN_ALPHA = wp.constant(-7.994353436858858)
 
 #: sqrt(log2(e) / 2): of the root of the exponent.
 ROOT_SCALE = wp.constant(0.8493218002880191)
@@ -67,7 +67,7 @@ def project_splat(
     offset = splats.centers[n] - camera.center
     z = wp.dot(offset, axis_z)
     opacity = splats.opacities[n]
-    if not (z >= lens.near and opacity >= LEAST_ALPHA):  # so that it is left out where it is not a number
+    if not (z >= lens.near and opacity >= MIN_ALPHA):  # so that it is left out where it is not a number
         return
     x = wp.dot(offset, axis_x) / z
     y = wp.dot(offset, axis_y) / z
@@ -93,7 +93,7 @@ def project_splat(
     if lens.antialias == 1:
         opacity *= wp.sqrt(sharp / blurred)
     strength = wp.log2(opacity)
-    reach = strength - LOG2_LEAST_ALPHA
+    reach = strength - LOG2_MIN_ALPHA
     if not (reach >= 0.0 and blurred > 0.0 and blurred < 1.0e37 and rr > 0.0):
         return
     column = camera.focal[0] * x + camera.principal_point[0]
@@ -153,7 +153,7 @@ def project_by_lens(
 def band_columns(place: wp.vec4, shape: wp.vec4, low: float, high: float):
     """Least and greatest column of a splat among the rows from `low` to `high`, pixels; the first is greater where it
     does not reach them. place, shape: the first two of its view."""
-    reach = place[2] - LOG2_LEAST_ALPHA
+    reach = place[2] - LOG2_MIN_ALPHA
     root = wp.sqrt(wp.max(reach, 0.0))
     # s = l_2 dy is between -root and root; the column is -(l_1 / l_2) s +- sqrt(reach - s^2), over l_0
     lean = shape[0] / shape[1]

@@ -6,7 +6,7 @@
 import warp as wp
 
 from ..core.loads import vec4_entry
-from .project import LOG2_LEAST_ALPHA, band_columns
+from .project import LOG2_MIN_ALPHA, band_columns
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -31,7 +31,7 @@ class TileGrid:
 @wp.func
 def touched_rows(tiles: TileGrid, place: wp.vec4, shape: wp.vec4):
     """First and last row of tiles that a splat touches; the first is greater where it touches none."""
-    reach = wp.sqrt(wp.max(place[2] - LOG2_LEAST_ALPHA, 0.0)) / shape[1] + MARGIN
+    reach = wp.sqrt(wp.max(place[2] - LOG2_MIN_ALPHA, 0.0)) / shape[1] + MARGIN
     # pixel i has its centre at i + 0.5
     low = wp.clamp(wp.ceil(place[1] - reach - 0.5), 0.0, float(tiles.height))
     high = wp.clamp(wp.floor(place[1] + reach - 0.5), -1.0, float(tiles.height - 1))

@@ -16,7 +16,7 @@ TILE_BINS = wp.constant(256)
 BINS_PER_OCTAVE = wp.constant(8.0)
 
 #: Ticks are counted in 32 bits; the largest number of them.
-MOST_TICKS = wp.constant(0x7FFFFFFF)
+MAX_TICKS = wp.constant(0x7FFFFFFF)
 
 
 @wp.struct
@@ -54,7 +54,7 @@ def ordered_item(order: TileOrder, item: int):
 def note_ticks(order: TileOrder, item: int, begin: int):
     """Note how long the tile of an item took at least, since `begin`."""
     if order.ticks.shape[0] > 0:
-        wp.atomic_max(order.ticks, item // TILE_SIZE, (clock_ticks() - begin) & MOST_TICKS)
+        wp.atomic_max(order.ticks, item // TILE_SIZE, (clock_ticks() - begin) & MAX_TICKS)
 
 
 @wp.func

@@ -43,7 +43,7 @@ from .up_axis import is_pose, load_standing, standing_of_pose
 _FORMAT, _VERSION = "warpcage poses", 1
 
 #: Frames per second where nothing says another rate.
-USUAL_RATE = 24.0
+DEFAULT_RATE = 24.0
 
 #: How files end that a cage may move in.
 GLTF_ENDINGS = (".glb", ".gltf")
@@ -396,7 +396,7 @@ def read_motion(
     if rest is None:
         raise InputError(f"{str(path)!r} holds poses alone: give the cage at rest")
     files = numbered_files(path)
-    moving = sequence_poses(files, rest, fps=fps or USUAL_RATE, up=up) if files else None
+    moving = sequence_poses(files, rest, fps=fps or DEFAULT_RATE, up=up) if files else None
     if ending in MOVING_ENDINGS:
         moving = file_poses(path, rest, name=name, up=up, fps=fps)
     if moving is not None:
@@ -420,7 +420,7 @@ def file_poses(
 
 def cache_poses(path: PathLike, rest: Cage, *, up: str | None = None, fps: float | None = None) -> PoseFile:
     """The frames of a vertex cache as keyframes of the cage whose vertices it holds, in their order.
-    `up` None finds the axis by the first frame; fps: of .pc2 files, which have frames, None is USUAL_RATE."""
+    `up` None finds the axis by the first frame; fps: of .pc2 files, which have frames, None is DEFAULT_RATE."""
     cache = read_vertex_cache(path)
     count, points = cache.vertices.shape[:2]
     if points != len(rest.vertices):
@@ -431,7 +431,7 @@ def cache_poses(path: PathLike, rest: Cage, *, up: str | None = None, fps: float
     if count > MAX_FILES:
         raise InputError(f"{path}: {count} frames, at most {MAX_FILES} are read")
     was = up or standing_of_pose(rest.with_vertices(cache.vertices[0]), "z", rest).up
-    rate = USUAL_RATE if fps is None else checked_positive(fps, "fps")
+    rate = DEFAULT_RATE if fps is None else checked_positive(fps, "fps")
     times = cache.moments / rate if cache.in_frames else cache.moments
     file = PoseFile(rest)
     for index, (time, vertices) in enumerate(zip(times.tolist(), cache.vertices, strict=True)):

@@ -484,8 +484,8 @@ class PosableMesh(ClosedMesh):
         seed: int = 0,
         number: int = 0,
         *,
-        stretch: Sequence[float] = random_poses.USUAL_STRETCH,
-        reach: Sequence[float] = random_poses.USUAL_REACH,
+        stretch: Sequence[float] = random_poses.DEFAULT_STRETCH,
+        reach: Sequence[float] = random_poses.DEFAULT_REACH,
         modes: Sequence[str] = random_poses.POSE_MODES,
     ) -> Posed:
         """A random plausible pose: smooth, without folds, within bounds of stretch; see `warpcage.RandomPoses`.

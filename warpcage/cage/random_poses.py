@@ -228,10 +228,10 @@ def _sine_of_turns(turns: np.ndarray) -> np.ndarray:
 
 
 #: Least and largest stretch of random poses.
-USUAL_STRETCH = (0.5, 2.0)
+DEFAULT_STRETCH = (0.5, 2.0)
 
 #: How far a pose goes, as shares of the farthest that the bounds allow.
-USUAL_REACH = (0.3, 1.0)
+DEFAULT_REACH = (0.3, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -239,8 +239,8 @@ class RandomPoseOptions:
     """What `RandomPoses` takes besides the cage."""
 
     seed: int = 0
-    stretch: Sequence[float] = USUAL_STRETCH  # least and largest length over that at rest, all places and directions
-    reach: Sequence[float] = USUAL_REACH  # shares of its farthest amplitude that a pose's lies between, evenly
+    stretch: Sequence[float] = DEFAULT_STRETCH  # least and largest length over that at rest, all places and directions
+    reach: Sequence[float] = DEFAULT_REACH  # shares of its farthest amplitude that a pose's lies between, evenly
     modes: Sequence[str] = POSE_MODES
 
     def __post_init__(self) -> None:
@@ -392,10 +392,10 @@ Posed = TypeVar("Posed", bound=ClosedMesh)
 STEPS, HALVINGS = 8, 5
 
 #: A pose that is out of bounds after all goes back to this share of its path, so often at most.
-BACK, MOST_BACK = 0.75, 8
+BACK, MAX_BACK = 0.75, 8
 
 #: Paths that are tried before a cage is given up.
-MOST_WAYS = 64
+MAX_WAYS = 64
 
 
 class RandomPoses(Generic[Posed]):
@@ -432,8 +432,8 @@ class RandomPoses(Generic[Posed]):
         rest: Posed,
         *,
         seed: int = 0,
-        stretch: Sequence[float] = USUAL_STRETCH,
-        reach: Sequence[float] = USUAL_REACH,
+        stretch: Sequence[float] = DEFAULT_STRETCH,
+        reach: Sequence[float] = DEFAULT_REACH,
         modes: Sequence[str] = POSE_MODES,
         probe: PoseProbe | None = None,
     ):
@@ -472,12 +472,12 @@ class RandomPoses(Generic[Posed]):
             ValueError: For another number, or where no way from rest stays within the bounds.
         """
         number = checked_whole(number, "the number of a random pose", 0)
-        for attempt in range(MOST_WAYS):
+        for attempt in range(MAX_WAYS):
             random = RandomNumbers(self.seed, (number, attempt))
             share = random.number(*self.reach)
             path = PosePath(self.rest.vertices, random, self.modes)
             t = self._farthest(path) * share
-            for _ in range(MOST_BACK if t > 0.0 else 0):
+            for _ in range(MAX_BACK if t > 0.0 else 0):
                 posed = self.rest.with_vertices(path.at(t))
                 if self._allowed(posed):
                     return posed.vertices

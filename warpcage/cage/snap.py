@@ -7,7 +7,7 @@ import numpy as np
 from ..core.checks import checked_positive
 from ..field.voxel_field import VoxelField
 from .cage import Cage
-from .walls import LEAST_SAMPLES, face_samples, in_matter, wall_groups
+from .walls import MIN_SAMPLES, face_samples, in_matter, wall_groups
 
 #: Faces of one wall meet at less than this angle, degrees: walls move as a whole, and stay flat.
 WALL_ANGLE = 5.0
@@ -46,7 +46,7 @@ def wall_shift(cage: Cage, wall: np.ndarray, field: VoxelField, reach: float) ->
     places = places[np.argsort(np.abs(places), kind="stable")]
     normal = wall_normal(cage, wall)
     here = int(in_matter(field, points).sum())
-    if here < LEAST_SAMPLES:
+    if here < MIN_SAMPLES:
         return 0.0
     cut = np.array([in_matter(field, points + place * normal).sum() for place in places])
     return float(places[np.argmax(cut <= cut.min() + AS_GOOD * here)])

@@ -36,7 +36,7 @@ _NOTHING = 1e-4
 _SOMETHING = 0.01
 
 #: Points of the object that are looked at: fewer for cages of many faces, whose sides each of them asks for.
-_LEAST_POINTS, _MOST_POINTS, _WORK = 1000, 20_000, 20_000_000
+_MIN_POINTS, _MAX_POINTS, _WORK = 1000, 20_000, 20_000_000
 
 #: A part that holds so many times more of the object with another axis may have been written with it; from the lesser
 #: number on that is mentioned. Most parts hold a little more or less when they are turned.
@@ -114,7 +114,7 @@ def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = 
     An axis that the user gave is kept; a cage that cannot be used, or an object that shows nothing, is as expected."""
     if first_problem(cage):
         return UpAxis(up)
-    points = object_points(thing, count=max(_LEAST_POINTS, min(_MOST_POINTS, _WORK // len(cage.faces))))
+    points = object_points(thing, count=max(_MIN_POINTS, min(_MAX_POINTS, _WORK // len(cage.faces))))
     if not len(points):
         return UpAxis(up)
     here, other = _share_inside(cage, points), _other(up)

@@ -10,10 +10,10 @@ from ..mesh.mesh import connected_parts
 from .cage import Cage
 
 #: Samples of a face, one a voxel, that must lie in matter for it to cut matter: less is a speck of a fit.
-LEAST_SAMPLES = 4
+MIN_SAMPLES = 4
 
 #: Most samples along each side of a face.
-MOST_SAMPLES_A_SIDE = 256
+MAX_SAMPLES_A_SIDE = 256
 
 
 def wall_groups(cage: Cage, faces: np.ndarray, angle: float) -> list[np.ndarray]:
@@ -39,7 +39,7 @@ def cut_faces(cage: Cage, field: VoxelField) -> np.ndarray:
     """The faces (k,) of a cage, ascending, that cut the matter of a field: what is half opaque across two voxels."""
     points, owner = face_samples(cage, float(field.voxel_size.min()))
     counts = np.bincount(owner[in_matter(field, points)], minlength=len(cage.faces))
-    return np.flatnonzero(counts >= LEAST_SAMPLES)
+    return np.flatnonzero(counts >= MIN_SAMPLES)
 
 
 def in_matter(field: VoxelField, points: np.ndarray) -> np.ndarray:
@@ -56,7 +56,7 @@ def face_samples(cage: Cage, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     points, owner = [], []
     for number, (a, b, c) in enumerate(cage.vertices[cage.faces]):
         longest = max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b))
-        count = int(np.clip(np.ceil(longest / spacing), 2, MOST_SAMPLES_A_SIDE))
+        count = int(np.clip(np.ceil(longest / spacing), 2, MAX_SAMPLES_A_SIDE))
         u, v = (np.indices((count, count)).reshape(2, -1) + 0.5) / count
         kept = u + v < 1.0
         points.append(a + u[kept, None] * (b - a) + v[kept, None] * (c - a))

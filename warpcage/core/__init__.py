@@ -11,7 +11,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
             "checked_vector checked_whole listed warn_caller"
         ),
         "devices": (
-            "LEAST_SPARE RecordedLaunch RecordedLaunches SPARE_FRAMES SpareMemory half_texture "
+            "MIN_SPARE RecordedLaunch RecordedLaunches SPARE_FRAMES SpareMemory half_texture "
             "kernel_label launch module_block_dim recorded_launches resolve_device"
         ),
         "files": "NpyFile atomic_path file_stamp joined_crc npz_names read_limited read_npz",

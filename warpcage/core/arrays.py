@@ -368,7 +368,7 @@ def _attributes(thing: Any) -> list[Any]:
 
 
 #: Bytes of page-locked memory for the copies of a device, at most. Further ones are waited for when they are made.
-MOST_STAGED = 1 << 28
+MAX_STAGED = 1 << 28
 
 #: Sizes of pieces of that memory are multiples of this.
 PIECE = 1 << 16
@@ -457,9 +457,9 @@ class _Staging:
             place = next((place for place, block in enumerate(free) if _state(block)), None)
             if place is not None:
                 return _Piece(self, free.pop(place), size)
-            if self.held_bytes + rounded > MOST_STAGED:
+            if self.held_bytes + rounded > MAX_STAGED:
                 self._drop_free()
-            if self.held_bytes + rounded > MOST_STAGED:
+            if self.held_bytes + rounded > MAX_STAGED:
                 return None
             self.held_bytes += rounded
         return _Piece(self, empty_array(rounded, wp.uint8, "cpu", pinned=True), size)

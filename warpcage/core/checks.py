@@ -22,7 +22,7 @@ from .names import CURVE, EASINGS, Easing, error_line, require_name
 
 #: Most samples that a caller may ask for along the diagonal of a field: with more a picture takes minutes, and no pixel
 #: differs.
-MOST_SAMPLES = 100_000
+MAX_SAMPLES = 100_000
 
 #: Smallest and largest longest side of what float32 kernels compute in world units, whose squares and ratios to voxels
 #: they hold.
@@ -35,7 +35,7 @@ MAX_HALF = 65504.0
 AXES = "xyz"
 
 #: Letters of a value or a name that a message shows.
-MOST_SHOWN = 60
+MAX_SHOWN = 60
 
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
@@ -88,10 +88,10 @@ def checked_step(step: float | None, default: float) -> float:
 def checked_march(step: float | None, default: float, diagonal: float, distance: float) -> float:
     """The step of a march from a camera through a field; all are world units, None takes `default`.
     `diagonal` is that of the field's box, `distance` goes from the camera to the middle of it."""
-    number, shortest = checked_step(step, default), diagonal / MOST_SAMPLES
+    number, shortest = checked_step(step, default), diagonal / MAX_SAMPLES
     if step is not None and number < shortest:
         raise InputError(
-            f"the march step must be at least {shortest:.3g} ({MOST_SAMPLES} in the field), got {shown(step)}"
+            f"the march step must be at least {shortest:.3g} ({MAX_SAMPLES} in the field), got {shown(step)}"
         )
     told = 2.0 * float32_spacing(distance + diagonal)
     if not told <= number:
@@ -211,7 +211,7 @@ def listed(names: Iterable[Any], most: int = 8, *, none: str = "none") -> str:
 def shown(value: object) -> str:
     """A value in a message: its `repr` in one line, cut where it is long."""
     if isinstance(value, str):
-        value = value[: 2 * MOST_SHOWN]  # however long it is
+        value = value[: 2 * MAX_SHOWN]  # however long it is
     try:
         return _cut(" ".join(repr(value).split()))
     except ValueError:  # a whole number of too many digits
@@ -219,7 +219,7 @@ def shown(value: object) -> str:
 
 
 def _cut(text: str) -> str:
-    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
 
 
 def _number(value: Any) -> float:

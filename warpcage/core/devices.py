@@ -19,7 +19,7 @@ from .threads import cpu_threads, run_parts
 FIRST_WORK = 1 << 20
 
 #: Steps that an item is taken for where nobody knows.
-USUAL_WORK = 16
+DEFAULT_WORK = 16
 
 _records: tuple[list[str], ...] = ()  # of `recorded_launches`; threads replace the tuple as a whole
 _records_change = threading.Lock()
@@ -50,7 +50,7 @@ def launch(
     device: wp.DeviceLike,
     threads: int | None = None,
     block_dim: int | None = None,
-    work: float = USUAL_WORK,
+    work: float = DEFAULT_WORK,
 ) -> None:
     """Launch a one-dimensional kernel whose first parameter is `first`, the index of this launch's first item.
     On the CPU outputs of items must be disjoint: no atomics. `work`: steps an item may take, each 0.1 us or less."""
@@ -110,7 +110,7 @@ class RecordedLaunch:
         transient: int = 0,
         stream: wp.Stream | None = None,
         threads: int | None = None,
-        work: float = USUAL_WORK,
+        work: float = DEFAULT_WORK,
     ) -> None:
         """Launch it; the last `transient` arguments are not kept alive: what one frame alone has."""
         if self._device.is_cpu:
@@ -244,7 +244,7 @@ class HostFlag:
 SPARE_FRAMES = 2
 
 #: Bytes that are kept at least, as a pool reserves memory in large pieces.
-LEAST_SPARE = 64 << 20
+MIN_SPARE = 64 << 20
 
 #: The release threshold that was set last for each CUDA device, by ordinal.
 release_thresholds: dict[int, int] = {}
@@ -267,7 +267,7 @@ class SpareMemory:
         device = self._device
         if device is None:
             return
-        room = max(SPARE_FRAMES * size, LEAST_SPARE)
+        room = max(SPARE_FRAMES * size, MIN_SPARE)
         wanted, last = wp.get_mempool_used_mem_current(device) + room, release_thresholds.get(device.ordinal, 0)
         if abs(wanted - last) > room // 2 and wp.get_mempool_release_threshold(device) == last:
             wp.set_mempool_release_threshold(device, wanted)
@@ -287,7 +287,7 @@ CHANNELS = 4
 HALF_TEXEL_BYTES = 2 * CHANNELS
 
 #: Most texels that CUDA takes along an axis.
-MOST_TEXELS = 16384
+MAX_TEXELS = 16384
 
 
 def half_texture(shape: tuple[int, int, int], device: wp.DeviceLike) -> wp.Texture3D:

@@ -19,14 +19,14 @@ THREADS_VARIABLE = "WARPCAGE_THREADS"
 PART_SECONDS = 0.2
 
 #: A part that takes less than this costs more to begin than it brings, and so do other threads for less than that.
-LEAST_PART_SECONDS, LEAST_SHARED_SECONDS = 0.0005, 0.002
+MIN_PART_SECONDS, MIN_SHARED_SECONDS = 0.0005, 0.002
 
 #: A part of items that turn out to be quick has at most this many times those of the first part.
-MOST_GROWTH = 8
+MAX_GROWTH = 8
 
 #: Parts of a launch for each thread, so that none is left with the last long one: of many items, and of few, where each
 #: part should have ITEMS_PER_PART.
-PARTS_PER_THREAD, LEAST_PARTS, ITEMS_PER_PART = 8, 2, 2048
+PARTS_PER_THREAD, MIN_PARTS, ITEMS_PER_PART = 8, 2, 2048
 
 _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()
@@ -111,8 +111,8 @@ class _Parts:
         self._lock = threading.Lock()
         self._next, self._count, self._threads = 0, count, threads
         # items differ: where the first ones are quick, the next may be as slow as was foreseen
-        parts = max(LEAST_PARTS, min(PARTS_PER_THREAD, count // (ITEMS_PER_PART * threads))) * threads
-        self._most = MOST_GROWTH * first
+        parts = max(MIN_PARTS, min(PARTS_PER_THREAD, count // (ITEMS_PER_PART * threads))) * threads
+        self._most = MAX_GROWTH * first
         self._largest = min(self._most, -(-count // parts) if threads > 1 else count)
         self._size = max(1, min(first, self._largest))
         self._least = 1  # items that are worth a part
@@ -124,7 +124,7 @@ class _Parts:
         run(0, end)
         seconds = time.perf_counter() - begun
         self._next = end
-        if (self._count - end) * seconds < LEAST_SHARED_SECONDS * end:
+        if (self._count - end) * seconds < MIN_SHARED_SECONDS * end:
             self._next = self._count
             if self._count > end:
                 run(end, self._count)
@@ -144,7 +144,7 @@ class _Parts:
         """How long a part took, for the next ones."""
         rate = items / max(seconds, 1e-9)
         with self._lock:
-            self._least = int(max(1, min(self._most, rate * LEAST_PART_SECONDS)))
+            self._least = int(max(1, min(self._most, rate * MIN_PART_SECONDS)))
             self._size = int(max(self._least, min(self._largest, rate * PART_SECONDS)))
 
     def stop(self) -> None:

@@ -169,7 +169,7 @@ class CarriedFragments:
         count, faces = self._points.size, self._walls.faces.size
         offsets, errors = (empty_array(count, kind, self._device) for kind in (wp.vec3, wp.float32))
         places = empty_array(self._corners.size, wp.vec3, self._device)
-        inputs, work = [self._walls, self._points, WELL_FOUND * self._voxel], 4 * extension.MOST_STEPS * faces
+        inputs, work = [self._walls, self._points, WELL_FOUND * self._voxel], 4 * extension.MAX_STEPS * faces
         launch(extension.find_places, count, inputs, [offsets, errors], device=self._device, work=work)
         inputs = [self._walls, self._corners]
         launch(extension.map_forwards, places.size, inputs, [places], device=self._device, work=2 * faces)

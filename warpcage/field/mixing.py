@@ -18,7 +18,7 @@ from .voxel_field import VoxelField
 CELL_BYTES, VOXEL_BYTES = 8, 160
 
 #: Share of a voxel without matter in the colour of one where several meet: it counts where there is no other.
-LEAST_SHARE = 1e-6
+MIN_SHARE = 1e-6
 
 
 class _Part:
@@ -75,7 +75,7 @@ def _mixed(parts: list[_Part], links: np.ndarray, count: int) -> tuple[np.ndarra
         matter = np.maximum(part.density, 0.0)
         density[rows] += matter
         highest[rows] = np.maximum(highest[rows], part.density)
-        share = np.maximum(matter, np.float32(LEAST_SHARE))
+        share = np.maximum(matter, np.float32(MIN_SHARE))
         shares[rows] += share
         sh[rows] += own * share.reshape(-1, *[1] * (own.ndim - 1))
     return np.where(highest > 0.0, density, highest), sh / shares.reshape(-1, *[1] * (sh.ndim - 1))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import trimesh
 
 #: The half-opaque density is taken where at least this share of the occupied nodes reaches it.
-_LEAST_SHARE = 0.05
+_MIN_SHARE = 0.05
 
 
 class DensityField(Protocol):
@@ -94,7 +94,7 @@ def surface_density(densities: np.ndarray, voxel_size: ArrayLike) -> float:
     if not len(occupied):
         raise InputError("the field is empty: it has no density above 0")
     half_opaque = half_opaque_density(voxel_size)
-    if np.mean(occupied > half_opaque) >= _LEAST_SHARE:
+    if np.mean(occupied > half_opaque) >= _MIN_SHARE:
         return half_opaque
     lowest, highest = float(occupied.min()), float(occupied.max())
     if highest <= lowest * (1.0 + 1e-6):

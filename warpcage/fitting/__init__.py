@@ -12,7 +12,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "level": "Level gradient_parts node_bytes row_bytes",
         "memory": "memory_size scaled_shape",
         "options": "checked_options",
-        "schedule": "MOST_SCARCE RAYS_PER_VOXEL plan_batches scarcity",
+        "schedule": "MAX_SCARCE RAYS_PER_VOXEL plan_batches scarcity",
         "silhouettes": "Silhouettes keep_seen object_bounds",
         "surroundings": "chosen_background",
     },

@@ -26,7 +26,7 @@ from ..kernels.fitting.rmsprop import add_gradients, count_marks, join_maximum
 from ..scene.scene import Scene
 from ..view.camera import camera_array
 from ..view.pictures import to_uint8
-from .memory import MOST_ITEMS, require_image_memory
+from .memory import MAX_ITEMS, require_image_memory
 from .schedule import view_factors
 
 #: Bits per channel that pictures may be kept at, the better first. Files have 8; opacity and averaging need more.
@@ -135,7 +135,7 @@ ACTIVE_STEP = 2.0
 ORDERS = 2**31
 
 #: Least mean squared error that a PSNR is computed from.
-LEAST_ERROR = 1e-12
+MIN_ERROR = 1e-12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -288,14 +288,14 @@ class Batches:
         pixels = np.tile(np.outer(rows, columns).ravel(), self.rays.cameras.shape[0])  # of each tile: less at the edges
         total = int(pixels.sum() if self.counted is None else pixels[self.counted].sum())
         error = float(self.squared_error.numpy().mean()) / 3.0 * self.active_tiles * side**2 / total
-        return -10.0 * math.log10(max(error, LEAST_ERROR))
+        return -10.0 * math.log10(max(error, MIN_ERROR))
 
 
 #: Outputs of their own are worth their memory for up to this many CPU threads.
 MAX_SHARDS = 8
 
 #: Parts of a shard's work that one launch takes: an interrupt waits for it.
-MOST_PARTS = 8192
+MAX_PARTS = 8192
 
 
 def shard_count(device: wp.Device) -> int:
@@ -324,7 +324,7 @@ def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) 
     def run(shard: int) -> None:
         for work in works:
             first, last = (work.count * edge // shards for edge in (shard, shard + 1))
-            most = MOST_PARTS if device.is_cpu else max(1, last - first)
+            most = MAX_PARTS if device.is_cpu else max(1, last - first)
             for part in range(first, last, most):
                 if stopped.is_set():
                     return
@@ -343,7 +343,7 @@ def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) 
 
 
 #: Rays of a look at all pictures, at most: hundreds of pictures show what some of their pixels do.
-MOST_LOOKS = 8e7
+MAX_LOOKS = 8e7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -359,7 +359,7 @@ class PictureRays:
         """Every how many rows and columns a look at all pictures has a ray. side: voxels along the longest side."""
         # a ray for each half voxel where the longest side of a box fills the shorter one of a picture
         shortest, rays = min(self.width, self.height), self.cameras.shape[0] * self.width * self.height
-        return max(1, shortest // (2 * side), math.ceil(math.sqrt(rays / MOST_LOOKS)))
+        return max(1, shortest // (2 * side), math.ceil(math.sqrt(rays / MAX_LOOKS)))
 
     def record(
         self, kernel: Kernel, inputs: list, stride: int, rows: int, shards: int, counts: wp.array | None = None
@@ -371,7 +371,7 @@ class PictureRays:
         shown = wp.zeros((shards, 1 if counts is None else max(1, rows)), dtype=wp.uint32, device=device)
         outputs = [[found[shard], None if counts is None else shown[shard]] for shard in range(shards)]
         rays = -(-self.width // stride) * -(-self.height // stride)  # of a picture
-        together = max(1, min(views if counts is None else MARKED_VIEWS, MOST_ITEMS // rays))
+        together = max(1, min(views if counts is None else MARKED_VIEWS, MAX_ITEMS // rays))
         for first in range(0, views, together):
             part = slice(first, min(first + together, views))
             counted = None if self.counted is None else self.counted[part]
@@ -386,7 +386,7 @@ class PictureRays:
 
 
 #: Pictures that a row has marks of at a time; and how many a row's count ends at.
-MARKED_VIEWS, MOST_VIEWS = 32, 255
+MARKED_VIEWS, MAX_VIEWS = 32, 255
 
 
 class ViewCounts:
@@ -416,7 +416,7 @@ class ViewCounts:
         self.forget()
         if self.is_used:
             counts = require_numbers(contents, name, (None,), path)
-            if len(counts) not in (0, rows) or counts.min(initial=0) < 0 or counts.max(initial=0) > MOST_VIEWS:
+            if len(counts) not in (0, rows) or counts.min(initial=0) < 0 or counts.max(initial=0) > MAX_VIEWS:
                 raise InputError(f"{len(counts)} numbers of views for {rows} voxels, or some that cannot be")
             self.counts = wp.array(counts.astype(np.uint8), dtype=wp.uint8, device=self.device)
 

@@ -38,7 +38,7 @@ _NORMAL, _EXPOSURE = int(kernels.NORMAL_SUMS), int(kernels.EXPOSURE_SUMS)
 
 #: What Gauss-Newton's diagonal is raised by, as a share of itself and of the camera's largest: steps are short along
 #: what the pictures tell badly, as a turn and a shift across it that show the object the same way.
-DAMPING, LEAST_DAMPING = 0.05, 1e-5
+DAMPING, MIN_DAMPING = 0.05, 1e-5
 
 #: How firmly the given cameras hold theirs at least, relative to what the pictures tell best: turns, shifts and focal
 #: length.
@@ -106,7 +106,7 @@ def camera_steps(
     changes: (n, 7) from the given cameras, None holds nothing; firmness: (n, 7) how firmly those hold beyond HOLD."""
     diagonal = np.einsum("nii->ni", normal)
     largest = diagonal.max(axis=1, keepdims=True)
-    added = DAMPING * diagonal + LEAST_DAMPING * largest + TINY
+    added = DAMPING * diagonal + MIN_DAMPING * largest + TINY
     if changes is not None:
         hold = (HOLD + firmness) * largest
         slope, added = slope + hold * changes, added + hold
@@ -156,7 +156,7 @@ OUTLIER = 1.0
 KEPT = 0.8
 
 #: A step moves no part of the picture by more voxels of the level than this.
-MOST_VOXELS = 0.5
+MAX_VOXELS = 0.5
 
 #: Pixels below about twice which a move of a camera is not believed; and change of the gains, in the mean of all
 #: pictures or half of a picture's own, below which exposures are not: some of what depends on the view looks like them.
@@ -345,7 +345,7 @@ class CameraRefinement:
         changes, firmness = (self.changes(), self._firmness(rates)) if self.held else (None, 0.0)
         moving = rates.lenses > 0.0
         steps = camera_steps(self.normal, sums.slope, self.lenses, changes, firmness, lenses_move=moving)
-        most = MOST_VOXELS * voxel / self.reach
+        most = MAX_VOXELS * voxel / self.reach
         farthest = np.abs(steps[:, :6]).max(axis=1, keepdims=True)
         moves = steps[:, :6] * np.minimum(rates.poses, most / np.maximum(farthest, 1e-30))
         rotations = self.poses[:, :3, :3]
@@ -398,7 +398,7 @@ class CameraRefinement:
             held[name] = np.asarray(require_numbers(contents, f"camera_{name}", now.shape, path), np.float64)
             if not np.isfinite(held[name]).all():
                 raise InputError(f"camera_{name} holds values that are not finite")
-        if held["gains"].min(initial=1.0) <= 0 or np.abs(held["zooms"]).max(initial=0.0) > MOST_ZOOM:
+        if held["gains"].min(initial=1.0) <= 0 or np.abs(held["zooms"]).max(initial=0.0) > MAX_ZOOM:
             raise InputError("the cameras hold values that cannot be")
         for name, values in held.items():
             setattr(self, name, values)
@@ -407,7 +407,7 @@ class CameraRefinement:
 #: The attributes of a CameraRefinement that change, and largest logarithm of a focal length over the given one.
 STATE = ("poses", "zooms", "gains", "offsets", "normal")
 
-MOST_ZOOM = 3.0
+MAX_ZOOM = 3.0
 
 
 def doubted(change: np.ndarray, doubt: float) -> np.ndarray:

@@ -33,7 +33,7 @@ SHRINKAGE = 0.9
 IMAGE_SHARE = 0.5
 
 #: Items that a launch, and numbers that an array's axis may have: both are counted in 32 bits with a sign.
-MOST_ITEMS = 2**31 - 1
+MAX_ITEMS = 2**31 - 1
 
 #: Bytes per node of a mask, per row of a weight or a density, and of a place.
 _MASK, _WEIGHT, _PLACE = 1, 4, 12
@@ -79,7 +79,7 @@ class FitMemory:
 
     def countable(self, rows: int, shape: tuple[int, ...]) -> bool:
         """Whether a level of (nx, ny, nz) with `rows` voxels has few enough for one launch, whatever the memory."""
-        return rows * self.row_numbers <= MOST_ITEMS and math.prod(shape) <= MOST_ITEMS
+        return rows * self.row_numbers <= MAX_ITEMS and math.prod(shape) <= MAX_ITEMS
 
     def without(self, size: int) -> FitMemory:
         """The same with `size` bytes less of what does not depend on the grid."""
@@ -92,7 +92,7 @@ class FitMemory:
         if needed <= limit and self.countable(rows, shapes[0]):
             return list(shapes)
         spare = (limit - self.fixed) / (needed - self.fixed)
-        most = MOST_ITEMS / max(rows * self.row_numbers, math.prod(shapes[0]))
+        most = MAX_ITEMS / max(rows * self.row_numbers, math.prod(shapes[0]))
         factor = SHRINKAGE * max(min(spare, most), 0.0) ** (1 / 3)
         coarser = [scaled_shape(shape, factor) for shape in shapes]
         return None if max(coarser[0]) < SMALLEST_LEVEL else coarser

@@ -33,7 +33,7 @@ LARGE_BATCH, ENOUGH_STEPS = 65536, 1200
 SMALLEST_RESOLUTION = 32
 
 #: Share of `keep_weight` that a voxel of a new level needs: memory is largest until `keep_at`.
-LEAST_SHARE = 0.6
+MIN_SHARE = 0.6
 
 #: Without silhouettes, fine voxels turn to fog before the cameras unless a coarse fit has told them where matter is.
 COARSE_SIDE = 24
@@ -44,20 +44,20 @@ RAYS_PER_VOXEL = 160.0
 
 #: Rays of all pictures through a voxel around the box, as far behind the middle as cameras are before it, from which on
 #: contracted space has more voxels along a side than the box; and by how much at most.
-OUTER_RAYS, MOST_FINER = 1200.0, 1.5
+OUTER_RAYS, MAX_FINER = 1200.0, 1.5
 
 #: Factor on the first rates of an outer field that is finer than the box, at most.
-MOST_HASTE = 2.0
+MAX_HASTE = 2.0
 
 #: How the weights of the total variations follow the scarcity; measured (benchmarks/NOTES-fit-scenes.md).
 DENSITY_POWER, SH_POWER = 1.8, 1.0
 
 #: Regularisers grow by this factor at most: no smoothing finds what no view tells.
-MOST_SCARCE = 32.0
+MAX_SCARCE = 32.0
 
 #: Directional coefficients step more slowly than the constant ones, so that they come about as far in a long fit as in
 #: one of this many steps; at least by this factor.
-DIRECTIONAL_STEPS, LEAST_DIRECTIONAL = 250.0, 0.15
+DIRECTIONAL_STEPS, MIN_DIRECTIONAL = 250.0, 0.15
 
 #: Late in a fit, when the surface has settled, they may go faster: they no longer stand for wrong geometry.
 LATE_DIRECTIONAL = 0.7
@@ -118,13 +118,13 @@ def _variation(options: FitOptions, scarce: float, captured: bool) -> tuple[floa
 
 def least_weight(options: FitOptions, side: int) -> float:
     """Rendering weight from which on a voxel of a new level with so many along its longest side is optimised."""
-    return max(options.prune_weight / side, LEAST_SHARE * options.keep_weight)
+    return max(options.prune_weight / side, MIN_SHARE * options.keep_weight)
 
 
 def view_factors(views: float) -> np.ndarray:
     """(256, 2) factors on the total variations of density and of colors by the number of views that show a voxel.
     views: the number from which on they are 1."""
-    fewer = np.clip(views / np.maximum(np.arange(256), 1), 1.0, MOST_SCARCE)
+    fewer = np.clip(views / np.maximum(np.arange(256), 1), 1.0, MAX_SCARCE)
     return np.stack([fewer**DENSITY_POWER, fewer**SH_POWER], axis=1)
 
 
@@ -155,7 +155,7 @@ def scarcity(cameras: list[Camera], center: np.ndarray, voxel: float, supersampl
     center: (3,) of the object, voxel: side of one of the last level, world units."""
     # The loss is a mean: where fewer pixels show a voxel the prior must weigh more, or it fits these views alone.
     seen = len(cameras) * (supersampling * voxel / pixel_size(cameras, center)) ** 2
-    return float(np.clip(RAYS_PER_VOXEL / max(seen, 1e-9), 1.0, MOST_SCARCE))
+    return float(np.clip(RAYS_PER_VOXEL / max(seen, 1e-9), 1.0, MAX_SCARCE))
 
 
 def outer_side(scene: Scene, options: FitOptions, grid: GridPlan) -> int:
@@ -165,14 +165,14 @@ def outer_side(scene: Scene, options: FitOptions, grid: GridPlan) -> int:
     side = min(max(grid.shapes[-1]), options.max_outer_resolution)
     # at a distance d behind the middle a voxel is 4 d / side wide, a pixel of a camera as far before it 2 d / fx
     width = 2.0 * float(np.median([camera.fx for camera in scene.cameras])) / side
-    finer = np.clip(math.sqrt(len(scene.cameras) * width**2 / OUTER_RAYS), 1.0, MOST_FINER)
+    finer = np.clip(math.sqrt(len(scene.cameras) * width**2 / OUTER_RAYS), 1.0, MAX_FINER)
     return min(round(finer * side), MAX_OUTER_SIDE)
 
 
 def directional_rate(steps: int) -> float:
     """Learning rate of the coefficients that depend on direction over that of the constant ones, at most 1."""
     # In a long fit fast ones learn what is particular to each view; in a short one slow ones do not get anywhere.
-    return float(np.clip(DIRECTIONAL_STEPS / max(steps, 1), LEAST_DIRECTIONAL, 1.0))
+    return float(np.clip(DIRECTIONAL_STEPS / max(steps, 1), MIN_DIRECTIONAL, 1.0))
 
 
 #: Late in a fit every so many steps random colours supervise opacity still: without, parts of the background's colour
@@ -190,7 +190,7 @@ CAMERA_STEPS, CAMERA_EVERY = 200, (4, 16)
 CAMERA_START, CAMERA_END = 0.08, 0.95
 
 #: Cameras are not looked at after fewer steps of the field than this.
-LEAST_LOOKED = 16
+MIN_LOOKED = 16
 
 #: Share of a whole step that poses and focal lengths, and exposures, take at first. It falls with this power of the
 #: progress to none.
@@ -236,7 +236,7 @@ class Schedule:
     def __init__(self, options: FitOptions, level_steps: list[int], scarcity: float, finer: float = 1.0):
         self.options, self.scarcity, self.level_steps = options, scarcity, level_steps
         # a step has fewer rays for each voxel of an outer field that is finer than the box, by so many times
-        self.outer_haste = float(np.clip(finer**2, 1.0, MOST_HASTE))
+        self.outer_haste = float(np.clip(finer**2, 1.0, MAX_HASTE))
         total = self.total_steps
         first = directional_rate(total) if options.directional is None else options.directional
         last = max(first, LATE_DIRECTIONAL) if options.directional_end is None else options.directional_end
@@ -300,7 +300,7 @@ class Schedule:
     @property
     def checks_cameras(self) -> bool:
         """Whether to look after the next step if cameras are off; a field of a few steps would blame them for all."""
-        looks = self.options.refine_cameras == "auto" and self.camera_start >= LEAST_LOOKED
+        looks = self.options.refine_cameras == "auto" and self.camera_start >= MIN_LOOKED
         return looks and self.step_count + 1 == self.camera_start
 
     def camera_rates(self) -> CameraRates:
@@ -354,7 +354,7 @@ CPU_POWER, GPU_POWER = 1.1, 0.65
 PLACE_ROWS, OBJECT_ROWS = 100.0, 29.0
 
 #: Seconds that a fit on a CPU may take before a quicker one is named, and the most by which its pictures are shrunk.
-PATIENCE, MOST_SHRUNK = 600.0, 16
+PATIENCE, MAX_SHRUNK = 600.0, 16
 
 
 class Pace:
@@ -403,7 +403,7 @@ class Pace:
         if not self.device.is_cpu or seconds <= PATIENCE:
             return None
         rays *= self.schedule.options.supersampling**2
-        for factor in range(1, MOST_SHRUNK + 1):
+        for factor in range(1, MAX_SHRUNK + 1):
             fewer = max(fast.epochs * pixels / factor**2, fast.least_steps * SMALLEST_BATCH) / rays
             if (shorter := seconds * fewer * factor**-CPU_POWER) <= PATIENCE:
                 return factor, shorter

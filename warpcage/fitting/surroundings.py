@@ -38,7 +38,7 @@ START_OPACITY = 0.5
 PLAIN_SHARE, PLAIN_DIFFERENCE = 0.95, 2.5 / 255
 
 #: Share of the memory of a fit that layers may take, and least cells along an edge that the images ask for.
-LAYERS_MEMORY_SHARE, LEAST_SIDE = 0.25, 16
+LAYERS_MEMORY_SHARE, MIN_SIDE = 0.25, 16
 
 #: Bytes of a node's colour and optical depth, and of a colour.
 LAYER_NODE_BYTES, LAYER_COLOR_BYTES = 16, 12
@@ -88,7 +88,7 @@ def layers_that_fit(scene: Scene, options: FitOptions, shards: int, limit: int) 
     side = options.background_side
     if side is None:
         focal = float(np.median([camera.fx for camera in scene.cameras]))  # pixels per unit of a face's half side
-        least = min(LEAST_SIDE, options.max_background_side)
+        least = min(MIN_SIDE, options.max_background_side)
         side = int(np.clip(2.0 * focal * options.background_detail, least, options.max_background_side))
     surface_bytes = options.background_layers * LAYER_NODE_BYTES * (2 + shards)  # values, moments and gradients
     side = max(2, min(side, math.isqrt(int(limit * LAYERS_MEMORY_SHARE / (6 * surface_bytes)))))
@@ -281,7 +281,7 @@ FRONT_DISTANCE, FRONT_SHARE = 0.7, 0.2
 
 #: Cells of the sky along an edge in the first level, and most of them. The learning rate and the weight of the total
 #: variation of its colours, relative to those of the voxels' colours.
-SKY_SIDE, MOST_SKY, SKY_RATE, SKY_VARIATION = 4, 32, 4.0, 1.0
+SKY_SIDE, MAX_SKY, SKY_RATE, SKY_VARIATION = 4, 32, 4.0, 1.0
 
 #: Voxels along a side for which the weights of the total variation are meant.
 VARIATION_SIDE = 256.0
@@ -387,7 +387,7 @@ class OuterOptimizer:
     def _memory(self) -> FitMemory:
         """What other levels take."""
         return FitMemory(
-            fixed=self._fixed_bytes(MOST_SKY),
+            fixed=self._fixed_bytes(MAX_SKY),
             node=NODE_BYTES,
             row=row_bytes(self.shards) + (1 if self.views.is_used else 0),
             field_row=VALUE_BYTES + PLACE_BYTES,
@@ -415,7 +415,7 @@ class OuterOptimizer:
             ratio = wp.vec3(*(3 * [shape[0] / side]))
             launch(grid_refine.refine_mask, finer.size, [ratio, kept], [finer], device=self.device)
             kept = finer
-        self._resample(coarse, kept, min(2 * coarse.grid.sky.side, MOST_SKY))
+        self._resample(coarse, kept, min(2 * coarse.grid.sky.side, MAX_SKY))
         del coarse, kept
         # finer voxels tell better what is behind others
         self._keep(self._weighty_mask(picture_rays, field, least_weight(self.options, self.outer.side), counts=True))
@@ -549,7 +549,7 @@ class OuterOptimizer:
         )
         if not (np.isfinite(values).all() and np.isfinite(moments).all()) or moments.min(initial=0.0) < 0:
             raise InputError("the outer field holds values that cannot be")
-        nodes = surface_node_count(min(SKY_SIDE * 2**level, MOST_SKY))
+        nodes = surface_node_count(min(SKY_SIDE * 2**level, MAX_SKY))
         sky, sky_moments = (require_numbers(contents, name, (nodes, 4), path) for name in SKY_NAMES)
         if not (np.isfinite(sky).all() and np.isfinite(sky_moments).all()) or sky_moments.min() < 0:
             raise InputError("the sky holds values that cannot be")

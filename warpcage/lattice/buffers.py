@@ -13,7 +13,7 @@ import warp as wp
 from ..core.arrays import array_view, empty_array
 
 #: Views of a buffer that are kept, of poses of different shapes.
-MOST_VIEWS = 64
+MAX_VIEWS = 64
 
 WORD = 4  # bytes; all constants are 32-bit numbers
 
@@ -52,7 +52,7 @@ class Buffer:
         view = self._views.get(shape)  # views of one shape are the same object: making one takes a few microseconds
         if view is None:
             view = self._view(shape)
-            if len(self._views) >= MOST_VIEWS:
+            if len(self._views) >= MAX_VIEWS:
                 self._views.clear()
             self._views[shape] = view
         return view

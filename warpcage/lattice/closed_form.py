@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import WarpStruct, empty_array
-from ..core.devices import USUAL_WORK, launch
+from ..core.devices import DEFAULT_WORK, launch
 from ..kernels.coordinates.green import weigh_green
 from ..kernels.coordinates.mean_value import weigh_mean_value
 from ..kernels.lattice.cage_map import place_nodes
@@ -76,7 +76,7 @@ class ClosedFormSolver(MapSolver):
 
     def _launch(self, kernel, count: int, inputs: list, outputs: list, *, all_faces: bool = False) -> None:
         """all_faces: whether each item looks at all faces."""
-        work = self._faces.size if all_faces else USUAL_WORK
+        work = self._faces.size if all_faces else DEFAULT_WORK
         launch(kernel, count, inputs, outputs, device=self.device, work=work)
 
     def _inside_places(self) -> wp.array:

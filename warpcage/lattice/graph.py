@@ -13,7 +13,7 @@ from .sizes import PoseSizes
 Launches = Callable[[], object]
 
 #: Cut nodes for one row of the tables of sides, at least, of most cages with narrow gaps.
-USUAL_SIDES = 4
+DEFAULT_SIDES = 4
 
 
 class PoseGraph:
@@ -89,7 +89,7 @@ class PoseGraph:
         """Launch what fills the tables of sides, captured where it was not."""
         sides = self._launches.sides
         if self._sides is None or self._sides_generation != sides.buffers.generation:
-            usual = self._bounds.lists.cut // USUAL_SIDES
+            usual = self._bounds.lists.cut // DEFAULT_SIDES
             self._sides_room = max(self._sides_room, usual, sides.length + sides.length // 4 + 32)
             launches = functools.partial(self._launches.launch_sides, self._bounds, self._sides_room)
             launches()  # once outside, so that all buffers and modules are there

@@ -49,7 +49,7 @@ MANY_FACES, MANY_FACES_CPU = 512, 64
 GROUP_SIDE, GROUP_BYTES = 4, 2
 
 #: Most threads that set these bits on a GPU, half of what their 32-bit numbers count.
-MOST_THREADS = 1 << 30
+MAX_THREADS = 1 << 30
 
 #: Bytes of a face's box, and of a word of bits.
 BOX_BYTES, WORD_BYTES = 24, 4
@@ -115,7 +115,7 @@ def group_side(face_count: int, longest: int) -> int:
     side, words = GROUP_SIDE, word_count(face_count)
     while (
         WORD_BYTES * words > GROUP_BYTES * (int(BLOCK) * side) ** 3
-        or int(WORD_FACES) * words * block_count((longest, longest, longest), side) > MOST_THREADS
+        or int(WORD_FACES) * words * block_count((longest, longest, longest), side) > MAX_THREADS
     ):
         side *= 2
     return side
@@ -145,7 +145,7 @@ LINE_CAPACITY = 8
 FLAGS = 4
 
 #: Most that float32 may be apart, in cells, where the lattice is: rounding leaves two cells of the margin.
-MOST_ROUNDING = 0.4
+MAX_ROUNDING = 0.4
 
 #: Bits of a float32 number's digits.
 FLOAT32_BITS = 24
@@ -328,7 +328,7 @@ def lattice_frame(
     (low, high), place = cage.bounds.tolist(), np.asarray(origin).tolist()
     spacing = float(np.float32(max(b - a for a, b in zip(low, high, strict=True)) / resolution))
     far = max(max(abs(a - o), abs(b - o)) for a, b, o in zip(low, high, place, strict=True))
-    if not math.ldexp(1.0, math.frexp(far)[1] - FLOAT32_BITS) <= MOST_ROUNDING * spacing:
+    if not math.ldexp(1.0, math.frexp(far)[1] - FLOAT32_BITS) <= MAX_ROUNDING * spacing:
         raise InputError(
             f"the cage reaches {far:.3g} from the origin of its lattice, {far / cage.size:.2g} times its "
             f"size: float32 cannot tell cells of {spacing:.2g} apart there, move it nearer or take a "

@@ -355,7 +355,7 @@ def _checked_faces(given: Any, vertex_count: int) -> np.ndarray:
 OWN_AXES = ("long", "middle", "short")
 
 #: Axes along which a mesh reaches nearly as far as along the next one are not told apart: least ratio of variances.
-_LEAST_RATIO = 1.05
+_MIN_RATIO = 1.05
 
 
 def principal_axes(mesh: ClosedMesh) -> tuple[np.ndarray, np.ndarray]:
@@ -386,7 +386,7 @@ def own_axis(mesh: ClosedMesh, name: str) -> str | np.ndarray:
     axes, variances = principal_axes(mesh)
     index = OWN_AXES.index(plain)
     for one in (index - 1, index):
-        if 0 <= one < 2 and variances[one] < _LEAST_RATIO * variances[one + 1]:
+        if 0 <= one < 2 and variances[one] < _MIN_RATIO * variances[one + 1]:
             raise InputError(
                 f"the cage has no {plain!r} axis: it reaches as far in other directions; name x, y, z or a direction"
             )

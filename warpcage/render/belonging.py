@@ -23,7 +23,7 @@ from ..view.pictures import shrink
 PICTURES, SIDE, FEW = 6, 96, 3
 
 #: Points of the field by which it is told what cameras have in their pictures, and the least share that is something.
-POINTS, LEAST_SHARE = 2000, 0.005
+POINTS, MIN_SHARE = 2000, 0.005
 
 #: A field shows something else where what it shows goes along with the pictures less than this (a correlation), and is
 #: no nearer to them than one flat colour.
@@ -34,7 +34,7 @@ UNLIKE = 0.7
 ALIKE, LEFT, LEFT_OF_ALL = 0.6, 0.8, 0.97
 
 #: Splats that explanations are looked for with, at most.
-MOST_SPLATS = 100_000
+MAX_SPLATS = 100_000
 
 #: Scales that are tried: those about, and then the finer ones about the best of them.
 SCALES, FINER = np.geomspace(1e-3, 1e3, 61), np.geomspace(0.9, 1.1, 9)
@@ -120,7 +120,7 @@ def mismatch(field: AnyField, views: SceneViews) -> str | None:
     if not found.is_doubtful:
         return None
     points, few = object_points(field, POINTS), views.glimpses[:: max(1, len(views.glimpses) // FEW)]
-    blind = sum((picture_counts([each], points) > 0).mean() < LEAST_SHARE for each in views.cameras if len(points))
+    blind = sum((picture_counts([each], points) > 0).mean() < MIN_SHARE for each in views.cameras if len(points))
     words = f"what it shows is unlike the pictures (correlation {found.correlation:.2f})"
     if 2 * blind > len(views.cameras) or not np.isfinite(found.error):
         words = f"{blind} of {len(views.cameras)} cameras see nothing of it"
@@ -163,9 +163,9 @@ def _turn_text(turn: np.ndarray) -> str:
 
 def _thinned(field: AnyField) -> AnyField:
     """The field, or some of its splats where they are many."""
-    if not isinstance(field, SplatField) or len(field) <= MOST_SPLATS:
+    if not isinstance(field, SplatField) or len(field) <= MAX_SPLATS:
         return field
-    return field.chosen(np.sort(np.random.default_rng(0).permutation(len(field))[:MOST_SPLATS]))
+    return field.chosen(np.sort(np.random.default_rng(0).permutation(len(field))[:MAX_SPLATS]))
 
 
 def inverse(motion: Similarity) -> Similarity:

@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import as_given, as_numbers, as_points, empty_array
-from ..core.checks import MOST_SAMPLES, checked_bounds, checked_march, checked_step, require_ordinary_side, require_type
+from ..core.checks import MAX_SAMPLES, checked_bounds, checked_march, checked_step, require_ordinary_side, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import in_turn
 from ..errors import InputError, UseError
@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 SampleFunction = Callable[[Any, Any], tuple[Any, Any]]
 
 #: Steps along the diagonal of a field that does not say how long its steps are.
-USUAL_STEPS = 512
+DEFAULT_STEPS = 512
 
 #: Samples that a field is asked at once, but for a ray of more.
-MOST_AT_ONCE = 1 << 20
+MAX_AT_ONCE = 1 << 20
 
 
 class SampledField:
@@ -98,7 +98,7 @@ class SampledField:
         self.function: SampleFunction = function
         self.bounds: np.ndarray = checked_bounds(bounds)
         require_ordinary_side(float((self.bounds[1] - self.bounds[0]).max()), "a field")
-        self.step: float = checked_step(step, math.dist(*self.bounds) / USUAL_STEPS)
+        self.step: float = checked_step(step, math.dist(*self.bounds) / DEFAULT_STEPS)
         self.background: np.ndarray = parse_background(background)
         self.device: wp.Device = resolve_device(device)
 
@@ -181,10 +181,10 @@ def render_samples(
     box = [wp.vec3(*corner) for corner in (bounds - origin).tolist()]
     launch(samples.count_samples, count, [pinhole, *box, step], [begins, counts], device=device)
     ends, ray = np.cumsum(counts.numpy(), dtype=np.int64), 0
-    work = min(diagonal / step, MOST_SAMPLES)
+    work = min(diagonal / step, MAX_SAMPLES)
     while ray < count:
         before = int(ends[ray - 1]) if ray else 0
-        last = max(int(np.searchsorted(ends, before + MOST_AT_ONCE, side="right")), ray + 1)
+        last = max(int(np.searchsorted(ends, before + MAX_AT_ONCE, side="right")), ray + 1)
         local = wp.array((ends[ray:last] - before).astype(np.int32), dtype=wp.int32, device=device)
         total = int(ends[last - 1]) - before
         points, directions = (empty_array(total, wp.vec3, device) for _ in range(2))

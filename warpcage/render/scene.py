@@ -33,10 +33,10 @@ FAR = 4.0
 TABLE_BYTES, WARM_MEMORY = 192, 1 / 16
 
 #: Lattices of fewer nodes have numbers left that say on which side of the posed cage a place is.
-MOST_LATTICE_NODES = 1 << 30
+MAX_LATTICE_NODES = 1 << 30
 
 #: Share of a GPU's memory that shades of a grid's nodes may take.
-MOST_SHADES = 0.25
+MAX_SHADES = 0.25
 
 
 class PosedScene(PosedEdits):
@@ -52,7 +52,7 @@ class PosedScene(PosedEdits):
         self.boxes: EditBoxes | None = None  # of several edits without fragments, in the pose
         self.plan = FramePlan("stack")  # of the last view
         self.seen: SeenView | None = None  # the last view, where it was of the last pose
-        self.most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory  # bytes
+        self.most_shades = math.inf if device.is_cpu else MAX_SHADES * device.total_memory  # bytes
 
     @property
     def array(self) -> wp.array | None:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -129,7 +129,7 @@ class PosedScene(PosedEdits):
             order=order,
             is_far=is_far,
             shades_fit=is_far
-            and tables.most_nodes < MOST_LATTICE_NODES
+            and tables.most_nodes < MAX_LATTICE_NODES
             and shade_texture_bytes(marching.columns) <= self.most_shades,
             is_folded=shades.is_known_folded if shades.is_posed else None,
         )

@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.devices import HALF_TEXEL_BYTES, MOST_TEXELS, HostFlag, RecordedLaunches
+from ..core.devices import HALF_TEXEL_BYTES, MAX_TEXELS, HostFlag, RecordedLaunches
 from ..field.tables import ColumnTable, whole_warps
 from ..kernels.edits.inverse import NO_CELL, gather_inverse, scatter_cells
 from ..kernels.render.shading import ViewDirectionCage, find_view_directions, keep_cage, shade_carried_rows
@@ -25,7 +25,7 @@ LAYERS = int(SHADE_LAYERS)  #: of ShadedVolume
 def shade_texture_bytes(table: ColumnTable) -> float:
     """Bytes on a GPU that shades of a field take, by the table of its links; infinite where no texture holds them."""
     nx, ny, nz = tuple(table.columns.node_counts)
-    fits = max(LAYERS * nx, ny, nz) <= MOST_TEXELS
+    fits = max(LAYERS * nx, ny, nz) <= MAX_TEXELS
     return LAYERS * HALF_TEXEL_BYTES * table.node_count if fits else math.inf
 
 

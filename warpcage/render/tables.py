@@ -20,13 +20,13 @@ from ..lattice.buffers import Buffer, BufferPool, SideStream
 from .plan import FramePlan
 
 #: Cells that are less than so many voxels wide are not told apart: fine cells would be smaller than what they skip.
-LEAST_VOXELS = 2.0
+MIN_VOXELS = 2.0
 
 #: As many factors of two.
 FINE_BITS = int(FINE_SIDE).bit_length() - 1
 
 #: Lattices of more nodes have more fine cells than an index counts.
-MOST_NODES = (1 << 31) // int(FINE_COUNT) - 64
+MAX_NODES = (1 << 31) // int(FINE_COUNT) - 64
 
 
 class FineCells:
@@ -44,7 +44,7 @@ class FineCells:
         """Let posed FlatEdits, whose cells are marked, tell their fine cells apart, beside what comes until the side
         stream joins. step: the longest of a march, world units."""
         width = max(grid.voxel_size)
-        told = [edit.spacing >= LEAST_VOXELS * width and edit.look.size <= MOST_NODES for edit in edits]
+        told = [edit.spacing >= MIN_VOXELS * width and edit.look.size <= MAX_NODES for edit in edits]
         held = [
             (edit, words.take(int(FINE_WORDS) * edit.look.size), looks.take(edit.look.size))
             for edit, words, looks, is_told in zip(edits, self._words, self._looks, told, strict=True)
@@ -119,17 +119,17 @@ def lattice_box(flat: Any) -> list[list[float]]:
 
 
 #: An array has fewer entries along an axis.
-MOST_ENTRIES = 1 << 31
+MAX_ENTRIES = 1 << 31
 
 #: Share of a GPU's memory that the polynomials of a lattice's cells may take.
-MOST_POLYNOMIALS = 1 / 16
+MAX_POLYNOMIALS = 1 / 16
 
 
 class MapPolynomials:
     """The map of each cell of posed lattices as a polynomial."""
 
     def __init__(self, edit_count: int, device: wp.Device):
-        self._most_bytes = math.inf if device.is_cpu else MOST_POLYNOMIALS * device.total_memory
+        self._most_bytes = math.inf if device.is_cpu else MAX_POLYNOMIALS * device.total_memory
         pool = BufferPool(device)
         self._polynomials = [pool.buffer(wp.vec4) for _ in range(edit_count)]
         self._launch = RecordedLaunches(device)
@@ -140,7 +140,7 @@ class MapPolynomials:
         for number, (edit, buffer) in enumerate(zip(edits, self._polynomials, strict=True)):
             words = int(CELL_WORDS) * edit.look.size
             takes = wp.types.type_size_in_bytes(wp.vec4) * words
-            if not edit.removes and words < MOST_ENTRIES and takes <= self._most_bytes:
+            if not edit.removes and words < MAX_ENTRIES and takes <= self._most_bytes:
                 inputs, polynomials = [edit.nodes, edit.look, edit.node_counts], buffer.take(words)
                 self._launch(expand_map_cells, edit.look.size, inputs, [polynomials], number=number)
                 edit.polynomials, edit.by_nodes = polynomials, 0

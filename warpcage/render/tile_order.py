@@ -12,7 +12,7 @@ from ..core.devices import RecordedLaunch
 from ..kernels.view.tile_order import TILE_BINS, TileOrder, count_tiles, sort_tiles
 
 #: Kinds of views that are kept: of a size, through as many launches, on a stream.
-MOST_KEPT = 4
+MAX_KEPT = 4
 
 
 class BalancedTiles:
@@ -41,7 +41,7 @@ class BalancedTiles:
         if begun is not None:
             key, kept = begun
             kept.sort()
-            while len(self._kept) >= MOST_KEPT:
+            while len(self._kept) >= MAX_KEPT:
                 del self._kept[next(iter(self._kept))]  # used longest ago
             self._kept[key] = kept
 

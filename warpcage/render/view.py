@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..cage.cage import Cage
-from ..core.checks import MOST_SAMPLES
+from ..core.checks import MAX_SAMPLES
 from ..core.devices import HeldOnDevice
 from ..errors import InputError
 from ..field.render import FieldView
@@ -53,8 +53,8 @@ def cage_span(cage: Cage | None) -> float:
 def require_short_march(spans: Sequence[float], step: float) -> None:
     """Refuse posed cages, of these spans, through which a march of this step, both world units, would take all day."""
     for index, size in enumerate(spans):
-        if size > MOST_SAMPLES * step:
+        if size > MAX_SAMPLES * step:
             raise InputError(
                 f"the posed cage of edit {index} is {size:.3g} across, {size / step:.3g} march steps of {step:.3g}: "
-                f"make it smaller, or the step at least {size / MOST_SAMPLES:.3g}"
+                f"make it smaller, or the step at least {size / MAX_SAMPLES:.3g}"
             )

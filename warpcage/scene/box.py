@@ -67,7 +67,7 @@ OUTLINED = "within the object's outlines in the pictures"
 PLACE_ROOM, PLACE_PERCENTILE = 1.5, 90.0
 
 #: Half side over the radius of the object of the cube that silhouettes are carved in; most it may be of the distance.
-CARVED_ROOM, MOST_OF_DISTANCE = 1.2, 0.95
+CARVED_ROOM, MAX_OF_DISTANCE = 1.2, 0.95
 
 
 class Hull(Protocol):
@@ -332,7 +332,7 @@ def _carved_cube(cameras: Sequence[Camera]) -> np.ndarray:
     tangent = np.array([max(camera.width / camera.fx, camera.height / camera.fy) / 2 for camera in cameras])
     # an object that fills the image's longer side at that distance
     half = float(np.median(distance * tangent / np.sqrt(1 + tangent**2))) * CARVED_ROOM
-    half = min(half, MOST_OF_DISTANCE * float(distance.min())) if distance.min() > 0 else half
+    half = min(half, MAX_OF_DISTANCE * float(distance.min())) if distance.min() > 0 else half
     return _require_size(np.stack([center - half, center + half]))
 
 

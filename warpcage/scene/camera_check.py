@@ -141,17 +141,17 @@ def group_names(names: Sequence[str], group: np.ndarray) -> str:
 
 
 #: Pictures that are looked at, at most, and their longer side, pixels: seconds. Those below the last show nothing.
-MOST_PICTURES, SIDE, LEAST_SIDE = 40, 320, 96
+MAX_PICTURES, SIDE, MIN_SIDE = 40, 320, 96
 
 #: Pictures that each one is compared with: those most alike by so many of their corners.
-MOST_ALIKE, FEW = 8, 100
+MAX_ALIKE, FEW = 8, 100
 
 #: Fewest matches that a geometry of two pictures alone explains, by so many tries, each within so many pixels of it.
-LEAST_MATCHES, TRIES, PIXELS = 16, 200, 1.0
+MIN_MATCHES, TRIES, PIXELS = 16, 200, 1.0
 
 #: Pictures of which fewer of the matches fit one geometry show things that only look alike; as descriptors do that are
 #: not nearer than the next by this ratio (Lowe 2004).
-LEAST_INLIERS, RATIO = 0.5, 0.8
+MIN_INLIERS, RATIO = 0.5, 0.8
 
 #: A match agrees where its rays miss each other by so many pixels of the shrunk pictures.
 TOLERANCE = 1.5
@@ -160,7 +160,7 @@ TOLERANCE = 1.5
 ENOUGH_MATCHES = 200
 
 #: Corners of a picture, of half and of a quarter of it, at most, and the least strength that is one.
-MOST_CORNERS, LEAST_STRENGTH = (200, 80, 40), 1e-5
+MAX_CORNERS, MIN_STRENGTH = (200, 80, 40), 1e-5
 
 #: Samples along a side of the patch around a corner, pixels between two, and how far it reaches.
 PATCH, SPACING, REACH = 8, 3.0, 18
@@ -186,7 +186,7 @@ Matches = dict[tuple[int, int], np.ndarray]
 def camera_doubt(scene: Scene) -> str | None:
     """What is doubtful about the cameras of a scene, one line with what to do; None where nothing is.
     It takes some seconds, whatever the number of pictures; pictures of few pixels are judged by their cameras alone."""
-    numbers = np.unique(np.linspace(0, len(scene) - 1, min(len(scene), MOST_PICTURES)).round().astype(int))
+    numbers = np.unique(np.linspace(0, len(scene) - 1, min(len(scene), MAX_PICTURES)).round().astype(int))
     found = matched_agreement(scene, numbers.tolist())
     lines = (
         _one_place(scene),
@@ -200,7 +200,7 @@ def matched_agreement(scene: Scene, numbers: Sequence[int]) -> Agreement | None:
     """How far matches of some of a scene's pictures agree with their cameras, counted as `numbers` has them; None where
     too few are found to say."""
     cameras = [scene.cameras[number] for number in numbers]
-    if min(min(camera.width, camera.height) for camera in cameras) < LEAST_SIDE:
+    if min(min(camera.width, camera.height) for camera in cameras) < MIN_SIDE:
         return None
     features = []
     # threads of its own: launches on the CPU would wait in the shared ones behind pictures
@@ -238,7 +238,7 @@ def _features(scene: Scene, view: int) -> tuple[np.ndarray, np.ndarray, float]:
             counts = shrink(scene.cut(view, part[view])[:height, :width, None], step)[..., 0]
             clear &= minimum_filter(counts, 2 * EDGE + 1) > 0.5
     places, vectors, scale = [np.zeros((0, 2))], [np.zeros((0, PATCH**2), np.float32)], 1
-    for most in MOST_CORNERS:
+    for most in MAX_CORNERS:
         if min(grey.shape) < 2 * REACH + 2:
             break
         found = corners(grey, most)
@@ -259,7 +259,7 @@ def corners(grey: np.ndarray, most: int) -> np.ndarray:
     down, right = np.gradient(gaussian_filter(grey, 1.0))
     yy, xy, xx = (gaussian_filter(product, 1.5) for product in (down * down, down * right, right * right))
     strength = (xx * yy - xy * xy) / np.maximum(xx + yy, 1e-12)  # harmonic mean of the eigenvalues
-    peaks = (strength == maximum_filter(strength, 7)) & (strength > LEAST_STRENGTH)
+    peaks = (strength == maximum_filter(strength, 7)) & (strength > MIN_STRENGTH)
     peaks[:REACH], peaks[-REACH:], peaks[:, :REACH], peaks[:, -REACH:] = False, False, False, False
     y, x = np.nonzero(peaks)
     order = np.argsort(-strength[y, x], kind="stable")[:most]
@@ -295,16 +295,16 @@ def _verified(slopes: list[np.ndarray], descriptors: list[np.ndarray], focals: n
         tell(b, count, WORDS)
         for a in range(b):
             alike[a, b] = alike[b, a] = len(_matches(descriptors[a][:FEW], descriptors[b][:FEW]))
-    best = np.argsort(-alike, axis=1, kind="stable")[:, :MOST_ALIKE]
+    best = np.argsort(-alike, axis=1, kind="stable")[:, :MAX_ALIKE]
     chosen = {(min(a, int(b)), max(a, int(b))) for a in range(count) for b in best[a] if a != b}
     random, found = np.random.default_rng(0), {}
     for number, (a, b) in enumerate(sorted(chosen)):
         tell(number, len(chosen), WORDS)
         rows = _matches(descriptors[a], descriptors[b])
-        if len(rows) >= LEAST_MATCHES:
+        if len(rows) >= MIN_MATCHES:
             limit = PIXELS * 0.5 * (1.0 / focals[a] + 1.0 / focals[b])
             good = epipolar_inliers(slopes[a][rows[:, 0]], slopes[b][rows[:, 1]], limit, random)
-            if good.sum() >= max(LEAST_MATCHES, LEAST_INLIERS * len(rows)):
+            if good.sum() >= max(MIN_MATCHES, MIN_INLIERS * len(rows)):
                 found[a, b] = rows[good]
     return found
 
@@ -342,7 +342,7 @@ def _disagreement(scene: Scene, numbers: np.ndarray, found: Agreement) -> str | 
         total, good = found.across(group)
         if len(group) < max(MIN_GROUP, MAX_TORN * len(numbers)):
             break  # they are ordered by size
-        if total >= max(MIN_ACROSS * found.inside(group), 2 * LEAST_MATCHES) and good < CHANCE * total:
+        if total >= max(MIN_ACROSS * found.inside(group), 2 * MIN_MATCHES) and good < CHANCE * total:
             names = [f"{len(part)} ({group_names(scene.names, numbers[part])})" for part in (first, group)]
             return (
                 f"the cameras fell apart: of {len(numbers)} pictures that were compared {names[0]} do not fit to "
@@ -389,7 +389,7 @@ def _several_places(scene: Scene, numbers: np.ndarray, found: Agreement | None) 
         look_of[look.cameras] = index
     if found is not None:
         first, second = look_of[numbers[found.pairs]].T
-        if (found.agreeing[(first != second) & (np.minimum(first, second) >= 0)] >= LEAST_MATCHES).any():
+        if (found.agreeing[(first != second) & (np.minimum(first, second) >= 0)] >= MIN_MATCHES).any():
             return None
     parts = [f"{len(look.cameras)} ({group_names(scene.names, look.cameras)})" for look in looks]
     return (

@@ -51,10 +51,10 @@ WIDEST = 100.0
 STEPS = 4096
 
 #: A side of the cube is made where so much of it is seen, on a grid of so many places.
-LEAST_SEEN, SEEN_GRID = 0.01, 65
+MIN_SEEN, SEEN_GRID = 0.01, 65
 
 #: A view has at most this many times as many pixels as the picture.
-MOST_PIXELS = 4.0
+MAX_PIXELS = 4.0
 
 
 def _angles(x, y, z, *values: float) -> tuple[np.ndarray, np.ndarray]:
@@ -262,9 +262,9 @@ def pinhole_parts(lens: Lens, intrinsics: Intrinsics, size: tuple[int, int], whe
         pinhole = (side / 2, side / 2, side / 2, side / 2)
         parts = [Part(name, np.array(axes, np.float64).T, pinhole, (side, side)) for name, axes in SIDES.items()]
     for part in parts:
-        if max(part.size) > MOST_PIXELS * max(size):
+        if max(part.size) > MAX_PIXELS * max(size):
             raise InputError(f"{where}: {lens.model} would become views of {part.size[0]}x{part.size[1]} pixels")
-    return [part for part in parts if not part.name or _seen_share(part, lens, intrinsics, size) >= LEAST_SEEN]
+    return [part for part in parts if not part.name or _seen_share(part, lens, intrinsics, size) >= MIN_SEEN]
 
 
 def _extent(lens: Lens, intrinsics: Intrinsics, size: tuple[int, int], way: tuple[int, int]) -> float:

@@ -275,12 +275,12 @@ def _leads_out(folder: pathlib.Path, name: str) -> bool:
 def _ends(name: str) -> Iterator[str]:
     """The ends of a path, the longest first, down to the file's own name."""
     parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".", "..")]
-    parts = parts[-MOST_FOLDERS:]
+    parts = parts[-MAX_FOLDERS:]
     return ("/".join(parts[first:]) for first in range(len(parts)))
 
 
 #: Folders of a path of another machine that are looked for.
-MOST_FOLDERS = 8
+MAX_FOLDERS = 8
 
 
 def find_picture(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
@@ -379,12 +379,12 @@ def held_out(count: int, split: str, folder: pathlib.Path) -> list[int]:
 
 
 #: Videos have 30 or 60 pictures a second: no more than this are taken, evenly, as nerfstudio does.
-MOST_PICTURES = 300
+MAX_PICTURES = 300
 
 
 def evenly(count: int) -> list[int]:
-    """Indices of all pictures, or of MOST_PICTURES evenly."""
-    return np.unique(np.linspace(0, count - 1, min(count, MOST_PICTURES)).round().astype(int)).tolist()
+    """Indices of all pictures, or of MAX_PICTURES evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, MAX_PICTURES)).round().astype(int)).tolist()
 
 
 def chosen_part(counts: dict[str, int], wanted: str | None, where: pathlib.Path, kind: str) -> str:

@@ -123,7 +123,7 @@ COPIES, LENS_BYTES = 5, 300
 STRIP_BYTES = 1 << 22
 
 #: Most pictures that are read at once, as many as a pool of threads has by itself.
-MOST_WORKERS = 32
+MAX_WORKERS = 32
 
 
 #: By how much opacities miss 1 where opaque pictures were shrunk or a lens was undone.
@@ -332,7 +332,7 @@ def _workers(views: list[View], spans: list[Size], canvas: Size, downscale: int,
             f"{len(views)} pictures of {width}x{height} need {(held + flight) / 2**30:.1f} GiB, {free / 2**30:.1f} GiB "
             f"are free: give downscale={least} or more"
         )
-    return max(1, min(MOST_WORKERS, (os.cpu_count() or 1) + 4, len(views), (free - held) // flight))
+    return max(1, min(MAX_WORKERS, (os.cpu_count() or 1) + 4, len(views), (free - held) // flight))
 
 
 def flight_bytes(view: View, size: Size, downscale: int, split: bool) -> int:

@@ -63,7 +63,7 @@ _Given = TypeVar("_Given")
 _Found = TypeVar("_Found")
 
 #: What is cut off pictures so that all of a scene have one size, pixels, and as a share of the smallest, at most.
-MOST_CUT, MOST_CUT_SHARE = 2, 0.01
+MAX_CUT, MAX_CUT_SHARE = 2, 0.01
 
 #: Pixels by which sides of pictures that were made smaller miss a common factor, as sides are rounded either way.
 ROUNDING = 1.01
@@ -230,7 +230,7 @@ def frames_of_sizes(sizes: list[Size], others: list[Size]) -> tuple[list[Size], 
     # pictures count as a whole. Others keep their size.
     everything = np.array([*sizes, *others])
     least, most = everything.min(axis=0), everything.max(axis=0)
-    if (most - least <= np.maximum(MOST_CUT, MOST_CUT_SHARE * least)).all():
+    if (most - least <= np.maximum(MAX_CUT, MAX_CUT_SHARE * least)).all():
         return [(int(least[0]), int(least[1]))] * len(sizes), (int(least[0]), int(least[1]))
     return sizes, (int(most[0]), int(most[1]))
 

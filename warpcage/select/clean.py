@@ -27,7 +27,7 @@ from .selection import _parts, visible_mask
 FLOATERS, GAP = 0.002, 3
 
 #: Views that must show what is kept, and the rendering weight from which one does.
-LEAST_VIEWS, LEAST_WEIGHT = 1, 0.01
+MIN_VIEWS, MIN_WEIGHT = 1, 0.01
 
 #: Pixels along the longer side of the views that are asked what they show, at most.
 VIEW_PIXELS = 800
@@ -52,8 +52,8 @@ class CleanOptions:
     floaters: float = FLOATERS  # parts of fewer nodes than this share of the largest; 0 for none
     parts: int | None = None  # so many parts are kept, the largest; None for all
     cameras: Sequence[Camera] | None = None  # of the views that must show what is kept; None does not ask
-    least_views: int = LEAST_VIEWS  # so many of them must
-    least_weight: float = LEAST_WEIGHT  # rendering weight from which a view shows a splat (in pixels) or a voxel
+    least_views: int = MIN_VIEWS  # so many of them must
+    least_weight: float = MIN_WEIGHT  # rendering weight from which a view shows a splat (in pixels) or a voxel
 
     def __post_init__(self) -> None:
         if not 0.0 <= checked_number(self.floaters, "floaters") < 1.0:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 #: Cells along the longest side of a grid, at most and at least.
-MOST_CELLS, LEAST_CELLS = 128, 32
+MAX_CELLS, MIN_CELLS = 128, 32
 
 #: What is looked at around an object, on each side, as a share of its longest side: planes go on around what stands on
 #: them over twice its area.
@@ -42,7 +42,7 @@ WIDER = 1.6
 
 #: What is found only after a click that seemed to be on nothing or on a plane is an object from so many cells along its
 #: shortest side on, and not the roughness of the plane.
-LEAST_SIDE = 4
+MIN_SIDE = 4
 
 
 def is_splats(field: object) -> bool:
@@ -85,11 +85,11 @@ def choose_closer(
         try:
             chosen = choose(seen) if near is None else near[2]
             near = None
-            if failed is not None and found is None and _side(chosen) < LEAST_SIDE:
+            if failed is not None and found is None and _side(chosen) < MIN_SIDE:
                 raise failed
         except ValueError as error:
             failed = failed or error
-            if found is not None or clicks is None or _longest(window) <= LEAST_CELLS * field.finest_cell(window):
+            if found is not None or clicks is None or _longest(window) <= MIN_CELLS * field.finest_cell(window):
                 break
             window = _shrunk(window, clicks)
             continue
@@ -98,7 +98,7 @@ def choose_closer(
         closer = _clipped(_around(np.stack([points.min(axis=0), points.max(axis=0)]), seen.voxel_size), field)
         if _longest(closer) > NEAR_ENOUGH * _longest(window) and not _is_cut(chosen, field):
             break
-        if _longest(closer) <= LEAST_CELLS * field.finest_cell(window) or np.allclose(closer, window):
+        if _longest(closer) <= MIN_CELLS * field.finest_cell(window) or np.allclose(closer, window):
             break
         window = closer
     if found is None:
@@ -113,18 +113,18 @@ def _near(
     """The smallest window about clicks in which what is chosen ends, its matter, and what is chosen; None in none."""
     # from near to far: in a whole place far walls are planes too, and all that has few cells hangs together
     middle = 0.5 * (clicks.min(axis=0) + clicks.max(axis=0))
-    half = float(np.ptp(clicks, axis=0).max()) + 2.0 * _longest(whole) / MOST_CELLS
+    half = float(np.ptp(clicks, axis=0).max()) + 2.0 * _longest(whole) / MAX_CELLS
     while 2.0 * half < _longest(whole):
         window = _clipped(np.stack([middle - half, middle + half]), field)
         half *= WIDER
-        if _longest(window) < LEAST_CELLS * field.finest_cell(window):
+        if _longest(window) < MIN_CELLS * field.finest_cell(window):
             continue
         seen = field.matter(window, _cells(field, window))
         try:
             chosen = choose(seen)
         except ValueError:
             continue  # nothing there, or no plane yet
-        if _side(chosen) >= LEAST_SIDE and not _is_cut(chosen, field):
+        if _side(chosen) >= MIN_SIDE and not _is_cut(chosen, field):
             return window, seen, chosen
     return None
 
@@ -132,7 +132,7 @@ def _near(
 def _cells(field: Any, window: np.ndarray) -> int:
     """Cells along the longest side of a window, no smaller than its splats allow."""
     finest = field.finest_cell(window)
-    return int(np.clip(_longest(window) / finest, LEAST_CELLS, MOST_CELLS)) if finest > 0.0 else MOST_CELLS
+    return int(np.clip(_longest(window) / finest, MIN_CELLS, MAX_CELLS)) if finest > 0.0 else MAX_CELLS
 
 
 def _longest(box: np.ndarray) -> float:

@@ -35,31 +35,31 @@ SLAB_VOXELS = 1.5
 
 #: Planes are looked for in fields of at most so many voxels a side: a finer one is averaged over blocks first. A wall
 #: that is fitted to pictures is rough by some thousandths of a scene, whatever the size of its voxels.
-MOST_SIDE = 96
+MAX_SIDE = 96
 
 #: A plane holds at least this share of the surface, and so many points, of which this share hangs together: tops of
 #: things that happen to lie in one plane do not.
-LEAST_SHARE, LEAST_POINTS, LEAST_PATCH = 0.03, 30, 0.5
+MIN_SHARE, MIN_POINTS, MIN_PATCH = 0.03, 30, 0.5
 
 #: Where a cut goes above a plane: standard deviations of the heights of its points, and voxels on top, over which what
 #: can be seen of a surface fades.
 _CUT_DEVIATIONS, _CUT_VOXELS = 2.5, 1.0
 
 #: Voxels over which opacity is smoothed for normals, and the least slope of it that tells one.
-_SMOOTHING, _LEAST_SLOPE = 1.0, 0.02
+_SMOOTHING, _MIN_SLOPE = 1.0, 0.02
 
 #: Directions around what stands on a plane, and the share of them in which the plane must go on.
 _SECTORS, _SURROUNDED = 16, 0.6
 
 #: Area of a plane, at least, over that of the shadow of what stands on it.
-_LEAST_AREA = 2.0
+_MIN_AREA = 2.0
 
 #: Share of what stands on a plane, from below, whose outline is looked at.
 _FOOT_SHARE = 0.25
 
 #: Share of the matter in a region that is above the plane that it stands on, and of the plane's points that the region
 #: may hold: a table that is in it whole belongs to what was chosen.
-_LEAST_ABOVE, _MOST_INSIDE = 0.1, 0.9
+_MIN_ABOVE, _MAX_INSIDE = 0.1, 0.9
 
 #: Takes a plane and returns places (m, 3) of what is above it.
 Grown = Callable[["Plane"], np.ndarray]
@@ -105,7 +105,7 @@ def find_planes(
         raise InputError("up must be a direction, not zero")
     upward = upward / np.linalg.norm(upward)
     nodes = np.ptp(np.asarray(field.bounds, np.float64), axis=0) / field.voxel_size
-    block = max(1, math.ceil(round(float(nodes.max())) / MOST_SIDE))
+    block = max(1, math.ceil(round(float(nodes.max())) / MAX_SIDE))
     points, normals, weights = surface_points(field, block)  # by largest weights, so that fog counts little
     limit = np.sin(np.radians(TILT_DEGREES))
     allowed: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -146,11 +146,11 @@ def fit_planes(
         normal, offset = found
         near = np.flatnonzero(_near(points, normals, normal, offset, slab))
         share = weights[near].sum() / total
-        if len(near) < LEAST_POINTS or share < LEAST_SHARE:
+        if len(near) < MIN_POINTS or share < MIN_SHARE:
             break
         lean = normals[near].T @ weights[near]
         level = lean @ normal >= np.cos(np.radians(MEAN_DEGREES)) * np.linalg.norm(lean)
-        if level and _largest_patch(points[near], weights[near], slab) >= LEAST_PATCH * share * total:
+        if level and _largest_patch(points[near], weights[near], slab) >= MIN_PATCH * share * total:
             spread = float(np.std(points[near] @ normal))
             planes.append(Plane(normal, offset, spread, float(share), points[near]))
         left &= ~_near(points, normals, normal, offset, 2.0 * slab, 1.5 * NORMAL_DEGREES)
@@ -162,7 +162,7 @@ def _on_finer_points(plane: Plane, slab: float, points: np.ndarray, normals: np.
     """A plane fitted to those of finer points that lie in its slab, on its side of the matter."""
     # Their normals follow the roughness of the surface, and say no more than that.
     near = np.flatnonzero(_near(points, normals, plane.normal, plane.offset, slab, 90.0))
-    if len(near) < LEAST_POINTS or not weights[near].sum() > 0.0:
+    if len(near) < MIN_POINTS or not weights[near].sum() > 0.0:
         return plane
     share = weights[near] / weights[near].sum()
     middle = share @ points[near]
@@ -206,7 +206,7 @@ def surface_points(field: DensityField, block: int = 1) -> tuple[np.ndarray, np.
         behind[:, axis] = np.maximum(behind[:, axis] - 1, 0)
         step = ahead[:, axis] - behind[:, axis]
         slope[:, axis] = (opacity[tuple(ahead.T)] - opacity[tuple(behind.T)]) / np.maximum(step, 1)
-    told = np.linalg.norm(slope, axis=1) >= _LEAST_SLOPE
+    told = np.linalg.norm(slope, axis=1) >= _MIN_SLOPE
     cells, slope = cells[told], slope[told] / voxel_size
     normals = -slope / np.linalg.norm(slope, axis=1, keepdims=True)
     points = np.asarray(field.bounds, np.float64)[0] + (cells + 0.5) * voxel_size
@@ -244,7 +244,7 @@ def _is_wide(plane: Plane, points: np.ndarray, spacing: float) -> bool:
     """Whether a plane has twice the area of the shadow of points (n, 3) on it; spacing: of neighbouring points."""
     sideways = np.linalg.svd(plane.normal[None])[2][1:]
     areas = [len(np.unique(np.floor(each @ sideways.T / (1.5 * spacing)), axis=0)) for each in (plane.points, points)]
-    return areas[0] >= _LEAST_AREA * areas[1]
+    return areas[0] >= _MIN_AREA * areas[1]
 
 
 def _near(points, normals, normal, offset, slab, degrees: float = NORMAL_DEGREES) -> np.ndarray:
@@ -263,7 +263,7 @@ def _best_plane(
 ) -> tuple[np.ndarray, float] | None:
     """Normal and offset of the plane with the most weight among the points that are left; None where there is none."""
     rows = np.flatnonzero(left)
-    if len(rows) < LEAST_POINTS:
+    if len(rows) < MIN_POINTS:
         return None
     tried = random.permutation(rows)[:_TRIED_POINTS]
     guesses = tried if allowed is None else tried[allowed(normals[tried])]
@@ -325,11 +325,11 @@ def plane_through(
     for plane in planes:
         heights = plane.heights(places)
         above = heights > plane.clearance(voxel_size)
-        if np.mean(above) >= _LEAST_ABOVE:
+        if np.mean(above) >= _MIN_ABOVE:
             held.append((float(np.median(heights)), plane, places[above]))
     # the highest that is wide and goes on outside the region, as a table around a boxed cup; else the largest
     for _, plane, standing in sorted(held, key=lambda each: each[0]):
         wide = _is_wide(plane, standing, float(np.max(voxel_size)))
-        if wide and np.mean(is_inside(plane.points)) <= _MOST_INSIDE:
+        if wide and np.mean(is_inside(plane.points)) <= _MAX_INSIDE:
             return plane
     return max((plane for _, plane, _ in held), key=lambda plane: plane.share, default=None)

@@ -20,7 +20,7 @@ SELECTION_ENDINGS = (".npz", ".json")
 _FORMAT, _VERSION, _WHAT = "warpcage selection", 1, "selection file"
 
 #: Most voxels along a side of what is chosen, as of fields.
-_MOST_SIDE = 4096
+_MAX_SIDE = 4096
 
 #: Corners of the boxes of two fields may differ by this share of a voxel: files hold all digits, but users may not.
 _SAME_PLACE = 1e-3
@@ -122,8 +122,8 @@ def _read(document: Any, chosen) -> SelectionContents:
 def _whole(values: Any, least: int) -> list[int]:
     """Three whole numbers of a document."""
     fits = isinstance(values, list) and len(values) == 3
-    if not fits or not all(type(each) is int and least <= each <= _MOST_SIDE for each in values):
-        raise InputError(f"its sizes must be three whole numbers from {least} to {_MOST_SIDE}, got {values!r}")
+    if not fits or not all(type(each) is int and least <= each <= _MAX_SIDE for each in values):
+        raise InputError(f"its sizes must be three whole numbers from {least} to {_MAX_SIDE}, got {values!r}")
     return values
 
 

@@ -279,7 +279,7 @@ _TABLE = np.array(
 )
 
 #: Pieces of pieces are cut no more often than this.
-MOST_CUTS = 4
+MAX_CUTS = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -322,7 +322,7 @@ def split_tree(
     factors: np.ndarray,
     opacities: np.ndarray,
     largest: np.ndarray,
-    cuts: int = MOST_CUTS,
+    cuts: int = MAX_CUTS,
     most: int | None = None,  # None is no limit
 ) -> SplitTree:
     """Splats, the first n nodes, and pieces of those, or of pieces, of a standard deviation above `largest` (n,).

@@ -14,7 +14,7 @@ from ..select.clean import Cleaned, CleanOptions, detached_nodes, require_left, 
 from ..select.selection import visible_mask
 from ..view.camera import Camera
 from .fit import SplatGradients, SplatParameters
-from .io.contents import LEAST_OPACITY
+from .io.contents import MIN_OPACITY
 from .matter import RESOLUTION
 from .render import IMAGE_BLUR, splat_lens
 from .splat_field import SplatField
@@ -26,7 +26,7 @@ AROUND = 0.5
 def clean_splats(field: SplatField, options: CleanOptions, largest_scale: float | None = None) -> Cleaned:
     """A field of splats without what is to go; refused where no splat that can be seen would be left.
     largest_scale: standard deviation beyond which splats go too, world units; None for none."""
-    seen = field.opacities >= LEAST_OPACITY
+    seen = field.opacities >= MIN_OPACITY
     kinds: list[tuple[np.ndarray, str]] = [(~seen, "fainter than 1/255")]
     if largest_scale is not None:
         large = field.scales.max(axis=1) > largest_scale

@@ -35,7 +35,7 @@ from ..view.frame import checked_supersampling, finer_camera, parse_background
 from .render import (
     DRAW_WORK,
     IMAGE_BLUR,
-    MOST_ENTRIES,
+    MAX_ENTRIES,
     PROJECT_WORK,
     STOP_TRANSMITTANCE,
     SplatRenderer,
@@ -131,8 +131,8 @@ class SplatGradients(SplatRenderer):
         lens: of `splat_lens`, of the same camera; colour: behind the splats."""
         grid, seen = tile_grid(camera), self._project(parameters.splats, lens, parameters.splats.centers.shape[0])
         total = self._count(grid, *seen)
-        if total > MOST_ENTRIES:
-            raise InputError(f"splats touch {total} tiles of a picture, at most {MOST_ENTRIES}: fit smaller pictures")
+        if total > MAX_ENTRIES:
+            raise InputError(f"splats touch {total} tiles of a picture, at most {MAX_ENTRIES}: fit smaller pictures")
         rgb, _ = self._draw_entries(grid, seen, total, color)
         self._parameters, self._lens = parameters, lens
         return rgb

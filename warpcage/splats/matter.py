@@ -17,7 +17,7 @@ from ..errors import InputError
 from ..kernels.splats.fit import deposit_splats
 from ..view.camera import Camera
 from ..view.frame import Frame
-from .io.contents import LEAST_OPACITY
+from .io.contents import MIN_OPACITY
 from .render import IMAGE_BLUR
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 PROBE = 1.0
 
 #: Share of those places that must be in chosen nodes, where the centre itself is not.
-MOST_OF_IT = 0.5
+MAX_OF_IT = 0.5
 
 #: Standard deviations to which a ray meets a splat, and to which it is taken to reach.
 REACH = 3.0
@@ -57,7 +57,7 @@ def in_nodes(centers: np.ndarray, factors: np.ndarray, mask: np.ndarray, bounds:
     for axis in range(3):
         step = PROBE * factors[:, :, axis]
         hits += inside(middle + step).astype(np.int64) + inside(middle - step)
-    return centre | (hits > 7 * MOST_OF_IT)
+    return centre | (hits > 7 * MAX_OF_IT)
 
 
 def half_light(
@@ -75,7 +75,7 @@ def half_light(
     ahead = offset @ direction
     beside = np.linalg.norm(offset - ahead[:, None] * direction, axis=1)
     reach = REACH * (np.sqrt(np.einsum("nii->n", covariances)) + spread * np.abs(ahead))
-    rows = np.flatnonzero((opacities >= LEAST_OPACITY) & (ahead > near) & (beside <= reach))
+    rows = np.flatnonzero((opacities >= MIN_OPACITY) & (ahead > near) & (beside <= reach))
     blur = IMAGE_BLUR * (spread * ahead[rows]) ** 2
     least = 1e-12 * np.einsum("nii->n", covariances[rows])  # a flat splat has an inverse too
     wide = covariances[rows] + (blur + least)[:, None, None] * np.eye(3)
@@ -85,7 +85,7 @@ def half_light(
     rest = offset[rows] - distance[:, None] * direction
     far = np.einsum("ni,ni->n", rest, np.linalg.solve(wide, rest[..., None])[..., 0])
     alpha = np.minimum(OPAQUE, opacities[rows] * np.exp(-0.5 * far))
-    drawn = np.flatnonzero((alpha >= LEAST_OPACITY) & (distance > 0.0))
+    drawn = np.flatnonzero((alpha >= MIN_OPACITY) & (distance > 0.0))
     order = drawn[np.argsort(distance[drawn], kind="stable")]
     gone = np.flatnonzero(np.cumprod(1.0 - alpha[order]) <= HALF)
     return float(distance[order[gone[0]]]) if len(gone) else np.inf
@@ -115,7 +115,7 @@ def whole_voxels(box: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarr
 
 
 #: Nodes along the longest side of a grid where nobody asks for another number, and at most.
-RESOLUTION, MOST_RESOLUTION = 128, 1024
+RESOLUTION, MAX_RESOLUTION = 128, 1024
 
 #: What messages call a node of a grid of splats.
 SPLAT_NODE = "cell"
@@ -133,7 +133,7 @@ class SplatDensity:
         self.field, self.straightening = field, None  # the coordinates are those of the file
         box = field.bounds if bounds is None else checked_bounds(bounds)
         # (2, 3) and (3,) float64, world units; the box is a whole number of voxels
-        self.bounds, self.voxel_size = whole_voxels(box, checked_whole(resolution, "resolution", 2, MOST_RESOLUTION))
+        self.bounds, self.voxel_size = whole_voxels(box, checked_whole(resolution, "resolution", 2, MAX_RESOLUTION))
         side = float(self.voxel_size[0])
         shape = np.round((self.bounds[1] - self.bounds[0]) / side).astype(int)
         nodes = int(np.prod(shape, dtype=np.int64))
@@ -141,7 +141,7 @@ class SplatDensity:
         density = empty_array(tuple(int(n) for n in shape), wp.float32, field.device)
         density.zero_()
         lower = wp.vec3(*(self.bounds[0] + 0.5 * side - field.center))
-        inputs = [field.splats, lower, side, LEAST_OPACITY]
+        inputs = [field.splats, lower, side, MIN_OPACITY]
         launch(deposit_splats, field.splat_count, inputs, [density], device=field.device, threads=1, work=1000)
         self._density = density.numpy()
 
@@ -175,7 +175,7 @@ class SplatDensity:
         Those that cannot be seen are left out."""
         whole = self.field
         inside = in_nodes(whole.contents.centers, whole.rotations * whole.scales[:, None, :], mask, self.bounds)
-        return inside & (whole.opacities >= LEAST_OPACITY)
+        return inside & (whole.opacities >= MIN_OPACITY)
 
     def cut_out(self, mask: np.ndarray) -> SplatField:
         """A field of the splats of a mask of nodes alone."""

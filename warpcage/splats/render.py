@@ -31,7 +31,7 @@ IMAGE_BLUR = 0.3
 NEAR_SHARE = 0.01
 
 #: Entries of splats in tiles that are sorted at once. Pictures that have more are drawn in bands.
-MOST_ENTRIES = 1 << 26
+MAX_ENTRIES = 1 << 26
 
 #: Steps that a splat takes to be projected and a tile to be drawn, for launches on the CPU.
 PROJECT_WORK, DRAW_WORK = 100, 20_000
@@ -96,7 +96,7 @@ class SplatRenderer:
     def _draw(self, grid: Any, seen: tuple, inputs: list, outputs: list) -> None:
         """Draw the rows of tiles of a grid, in halves where they have too many entries."""
         total = self._count(grid, *seen)
-        if total > MOST_ENTRIES and grid.rows > 1:
+        if total > MAX_ENTRIES and grid.rows > 1:
             half = grid.rows // 2
             self._draw(_band(grid, 0, half), seen, inputs, outputs)
             self._draw(_band(grid, half, grid.rows - half), seen, inputs, outputs)

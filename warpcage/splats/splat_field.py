@@ -29,7 +29,7 @@ from ..view.camera import Camera
 from ..view.frame import Frame, parse_background
 from .io import SPLAT_ENDINGS, is_splat_file, own_background, read_splats, write_splats
 from .io.contents import (
-    LEAST_OPACITY,
+    MIN_OPACITY,
     PlyLayout,
     SplatContents,
     checked_contents,
@@ -274,7 +274,7 @@ class SplatField(HeldOnDevice):
 
     @functools.cached_property
     def _bounds(self) -> np.ndarray:
-        seen = self.opacities >= LEAST_OPACITY
+        seen = self.opacities >= MIN_OPACITY
         if not seen.any():
             seen[:] = True
         if not len(seen):
@@ -291,7 +291,7 @@ class SplatField(HeldOnDevice):
         """(2, 3) float64 box of most of what can be seen, for cameras to look at; world units.
 
         It leaves out the outermost hundredth of the centres on each side."""
-        seen = self.opacities >= LEAST_OPACITY
+        seen = self.opacities >= MIN_OPACITY
         if not seen.any():
             return self.bounds
         low, high = np.quantile(self.contents.centers[seen].astype(np.float64), [0.01, 0.99], axis=0)
@@ -301,7 +301,7 @@ class SplatField(HeldOnDevice):
     @property
     def shown_points(self) -> np.ndarray:
         """(n, 3) float64 centres of the splats that can be seen, within `shown_bounds`; world units."""
-        centers = self.contents.centers[self.opacities >= LEAST_OPACITY].astype(np.float64)
+        centers = self.contents.centers[self.opacities >= MIN_OPACITY].astype(np.float64)
         low, high = self.shown_bounds
         return centers[((centers >= low) & (centers <= high)).all(axis=1)]
 
@@ -356,7 +356,7 @@ class SplatField(HeldOnDevice):
         """
         (low, high), places = checked_bounds(bounds), self.contents.centers
         inside = ((places >= low) & (places <= high)).all(axis=1)
-        return finest_side(self.contents.log_scales[inside & (self.opacities >= LEAST_OPACITY)])
+        return finest_side(self.contents.log_scales[inside & (self.opacities >= MIN_OPACITY)])
 
     def distance_seen(self, origin: ArrayLike, direction: ArrayLike, spread: float = 0.0) -> float:
         """How far along a ray half of its light is gone.

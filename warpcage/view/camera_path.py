@@ -21,10 +21,10 @@ from .camera import Camera, CameraFile, CameraKey, camera_from_json, camera_json
 from .motion import axis_rotation, evenly, value_at
 
 #: Directions in which the axes of cameras say this little, of what they say in others, are taken to say nothing.
-_LEAST_CONDITION = 1e-4
+_MIN_CONDITION = 1e-4
 
 #: A common point nearer to a camera than this share of its middle distance is not what the cameras look at.
-_LEAST_SHARE = 0.1
+_MIN_SHARE = 0.1
 
 
 def timed_keys(keys: Sequence[CameraKey], length: float | None = None) -> list[CameraKey]:
@@ -148,10 +148,10 @@ def _target_distances(keys: Sequence[CameraKey]) -> np.ndarray | None:
     middle = centers.mean(axis=0)  # where the axes say nothing of a direction, the point is as far along as this
     pull = (across @ (centers - middle)[:, :, None])[..., 0].sum(axis=0)
     # the target is on the axis, nearest to the key's point, or to the one that is nearest to all axes (least squares)
-    common = middle + np.linalg.pinv(system, rcond=_LEAST_CONDITION, hermitian=True) @ pull
+    common = middle + np.linalg.pinv(system, rcond=_MIN_CONDITION, hermitian=True) @ pull
     offsets = np.array([common if key.target is None else key.target for key in keys]) - centers
     distances = (offsets * axes).sum(axis=1)
-    least = _LEAST_SHARE * float(np.median(np.linalg.norm(offsets, axis=1)))
+    least = _MIN_SHARE * float(np.median(np.linalg.norm(offsets, axis=1)))
     return distances if distances.min() > max(least, 0.0) else None
 
 

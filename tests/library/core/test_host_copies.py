@@ -68,7 +68,7 @@ def test_copies_hold_what_was_there_when_they_were_begun(device):
 
 @pytest.mark.parametrize("room", [1 << 28, 5 * arrays.PIECE, 0])
 def test_memory_of_copies_is_used_again_and_what_somebody_holds_is_not(device, room, monkeypatch):
-    monkeypatch.setattr(arrays, "MOST_STAGED", room)
+    monkeypatch.setattr(arrays, "MAX_STAGED", room)
     arrays.staging_memory.cache_clear()
     held = []
     for seed in range(12):

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 from fields import shiny_field, view
 
-from warpcage.core import LEAST_SPARE, SPARE_FRAMES, SpareMemory, devices
+from warpcage.core import MIN_SPARE, SPARE_FRAMES, SpareMemory, devices
 
 MIB = 1 << 20
 
@@ -45,7 +45,7 @@ def test_the_threshold_follows_what_is_in_use_and_nothing_is_kept_for_nobody(poo
         assert abs(pool.threshold - (used + SPARE_FRAMES * 100) * MIB) <= SPARE_FRAMES * 100 * MIB // 2
     assert pool.calls == 3  # little changes are none
     memory.keep(MIB)
-    assert pool.threshold == 500 * MIB + LEAST_SPARE
+    assert pool.threshold == 500 * MIB + MIN_SPARE
     other = SpareMemory(gpu())
     other.keep(100 * MIB)
     del memory

@@ -172,7 +172,7 @@ def test_tiles_are_drawn_from_their_view(device):
 def test_steps_solve_for_cameras_and_their_lenses_together(monkeypatch):
     """Against one large system in which two of three cameras share a lens."""
     monkeypatch.setattr(steps, "DAMPING", 0.0)
-    monkeypatch.setattr(steps, "LEAST_DAMPING", 0.0)
+    monkeypatch.setattr(steps, "MIN_DAMPING", 0.0)
     random = np.random.default_rng(3)
     jacobians, errors = random.normal(size=(3, 40, 7)), random.normal(size=(3, 40))
     lenses = np.array([0, 1, 0])

@@ -223,7 +223,7 @@ def test_levels_have_no_more_voxels_than_a_launch_has_items(scene, device):
 
 
 def test_a_fit_that_meets_the_limit_says_so_and_goes_on(scene, device, monkeypatch, capsys):
-    monkeypatch.setattr(memory, "MOST_ITEMS", 25 * 4000)
+    monkeypatch.setattr(memory, "MAX_ITEMS", 25 * 4000)
     field = fit(scene, device=device, least_steps=60)
     lines = capsys.readouterr().err.replace("\r", "\n").splitlines()
     said = [line for line in lines if line.startswith("fit: the field")]

@@ -8,7 +8,7 @@ import warp as wp
 from refusals import refused
 
 from warpcage import Camera, FieldOptimizer, Scene, evaluate, fit, mean_psnr, turntable
-from warpcage.fitting import MOST_SCARCE, RAYS_PER_VOXEL, checked_options, plan_batches, scarcity
+from warpcage.fitting import MAX_SCARCE, RAYS_PER_VOXEL, checked_options, plan_batches, scarcity
 from warpcage.kernels.fitting.rmsprop import shrink_view_dependence
 from warpcage.reference import KINDS, MODELS, synthetic_scene
 
@@ -68,7 +68,7 @@ def test_scarcity_by_hand():
     assert scarcity(cameras, np.zeros(3), 0.02) == pytest.approx(RAYS_PER_VOXEL / 20)
     assert scarcity(cameras, np.zeros(3), 0.04) == pytest.approx(RAYS_PER_VOXEL / 80)
     assert scarcity(cameras, np.zeros(3), 0.2) == 1.0
-    assert scarcity(cameras, np.zeros(3), 0.001) == MOST_SCARCE
+    assert scarcity(cameras, np.zeros(3), 0.001) == MAX_SCARCE
 
 
 def test_shrinking_leaves_the_mean_color(device):

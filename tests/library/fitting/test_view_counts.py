@@ -55,7 +55,7 @@ def test_a_look_has_no_more_rays_than_a_launch_has_items(device, level, monkeypa
 
     monkeypatch.setattr(batches, "launch_shards", launch)
     for most in (2**31 - 1, 300):
-        monkeypatch.setattr(batches, "MOST_ITEMS", most, raising=False)
+        monkeypatch.setattr(batches, "MAX_ITEMS", most, raising=False)
         counts = wp.zeros(level.field.voxel_count, dtype=wp.uint8, device=device)
         found.append((level.measure_weights(rays), level.measure_weights(rays, counts=counts), counts))
     assert launched == 2 * [600] + 2 * [240, 240, 120]

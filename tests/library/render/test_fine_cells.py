@@ -137,7 +137,7 @@ def test_most_of_what_is_empty_is_skipped(device, monkeypatch):
 def frames(deformer, monkeypatch, camera):
     """The same frame without and with fine cells."""
     with monkeypatch.context() as patch:
-        patch.setattr(tables, "LEAST_VOXELS", math.inf)
+        patch.setattr(tables, "MIN_VOXELS", math.inf)
         whole = deformer.pose(deformer.deformed).render(camera)
         assert all(flat.fine_bits == 0 for flat in deformer.posed_edits().tables.edits)
     fine = deformer.pose(deformer.deformed).render(camera)

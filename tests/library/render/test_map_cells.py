@@ -88,8 +88,8 @@ def test_pictures_without_polynomials_are_the_same(case, march, device, monkeypa
     }[case]
     field = shiny_field(device, resolution=48)
     frames = []
-    for most in (tables.MOST_ENTRIES, 0):
-        monkeypatch.setattr(tables, "MOST_ENTRIES", most)
+    for most in (tables.MAX_ENTRIES, 0):
+        monkeypatch.setattr(tables, "MAX_ENTRIES", most)
         deformer = Deformer(field, CageEdit(rest, **options), resolution=10).pose(pose)
         frames.append(deformer.render(view()))
         (edit,) = deformer.posed_edits().tables.edits

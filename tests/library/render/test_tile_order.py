@@ -10,10 +10,10 @@ from fields import BOX, ball, box_around, make_field, marches, shiny, shiny_fiel
 from warpcage import Deformer
 from warpcage.core import RecordedLaunch, limit_threads, recorded_launches
 from warpcage.kernels.view.rays import TILE_SIZE
-from warpcage.kernels.view.tile_order import MOST_TICKS, TileOrder, count_tiles, sort_tiles
+from warpcage.kernels.view.tile_order import MAX_TICKS, TileOrder, count_tiles, sort_tiles
 from warpcage.render import BalancedTiles, tile_order
 
-MOST = int(MOST_TICKS)
+MOST = int(MAX_TICKS)
 CENTERS = (-0.7, 0.0, 0.7)
 
 #: Ticks of so many tiles by name.
@@ -185,7 +185,7 @@ def test_orders_of_views_that_follow_each_other(balanced):
         balanced.end()
     assert is_sorted(balanced.begin(2, 40))
     balanced.end()
-    for tiles in range(1, 1 + tile_order.MOST_KEPT):
+    for tiles in range(1, 1 + tile_order.MAX_KEPT):
         assert is_new(balanced.begin(1, tiles))
         balanced.end()
     assert is_new(balanced.begin(2, 40))

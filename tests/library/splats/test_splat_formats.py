@@ -357,7 +357,7 @@ def test_files_of_another_ending_say_which(tmp_path, ending, meant):
 
 
 def test_sog_of_more_splats_than_its_palette_has(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.splats.io.sog._MOST_ENTRIES", 64)
+    monkeypatch.setattr("warpcage.splats.io.sog._MAX_ENTRIES", 64)
     rng = np.random.default_rng(0)
     contents = some_splats(2000, 1)
     contents.harmonics[:, 1:] = rng.normal(size=(40, 3, 3))[rng.integers(0, 40, 2000)]  # forty kinds of them

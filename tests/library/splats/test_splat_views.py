@@ -207,7 +207,7 @@ def test_the_same_view_twice_and_in_bands(device, monkeypatch):
     renderer.render(on_device(random_parts(3000, 0.2), device), camera(150, 150))
     frames = [renderer.render(splats, view)]
     assert renderer.entry_count > 4000
-    monkeypatch.setattr(render, "MOST_ENTRIES", 1000)
+    monkeypatch.setattr(render, "MAX_ENTRIES", 1000)
     frames.append(renderer.render(splats, view))
     for frame in frames:
         assert (frame.rgb == first.rgb).all() and (frame.depth == first.depth).all()

@@ -325,7 +325,7 @@ def test_the_steps_that_a_file_keeps_are_bounded(tmp_path, monkeypatch):
         return json.loads(session.path.read_text())
 
     whole = len(json.dumps(saved()["history"]))
-    monkeypatch.setattr(history, "MOST_BYTES", 20_000)
+    monkeypatch.setattr(history, "MAX_BYTES", 20_000)
     content = saved()["history"]
     beside = json.dumps(History().to_json(session.document, session.fields))
     assert 30_000 < len(json.dumps(content)) < 80_000 < whole and json.loads(beside)["parts"] == []
@@ -483,7 +483,7 @@ WRITTEN = [
 
 def test_jobs_lists_what_a_session_wrote_after_the_editor_has_ended(tmp_path, monkeypatch):
     for module in (session_module, tasks_module):
-        monkeypatch.setattr(module, "MOST_EXPORTS", 4)
+        monkeypatch.setattr(module, "MAX_EXPORTS", 4)
     path = ball(tmp_path)
 
     async def write(page):

@@ -15,7 +15,7 @@ from warpcage import Cage, Frame
 from warpcage.studio.editor import (
     COARSE_CELLS,
     FRAME,
-    LEAST_SIDE,
+    MIN_SIDE,
     Pace,
     Renderer,
     Request,
@@ -128,7 +128,7 @@ def learned(pixel=1e-6, pose=None):
 
 def test_quick_pixels_are_many_and_slow_ones_few():
     sizes = [learned(pixel).moving(1000, 500, 64, "harmonic", False).width for pixel in (1e-9, 1e-7, 1e-6, 1e-3)]
-    assert sizes[0] == 1000 and sizes[-1] == LEAST_SIDE
+    assert sizes[0] == 1000 and sizes[-1] == MIN_SIDE
     assert sizes == sorted(sizes, reverse=True)
 
 

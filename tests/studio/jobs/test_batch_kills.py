@@ -189,7 +189,7 @@ def test_no_worker_stays_of_a_plan_that_ends(tmp_path, end):
 @pytest.mark.scaled
 def test_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines, monkeypatch, at_night):
     """kill -9 of one of two workers, in the middle of an item or before its first, at random moments."""
-    monkeypatch.setattr(scheduler, "MOST_BARREN", 25)  # workers that die by themselves before any item are given up
+    monkeypatch.setattr(scheduler, "MAX_BARREN", 25)  # workers that die by themselves before any item are given up
     out, chance, kills, done = tmp_path / "out", random.Random(), [], threading.Event()
     count = KILLS[at_night]
 

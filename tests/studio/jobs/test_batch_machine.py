@@ -20,7 +20,7 @@ from hypothesis.stateful import (
 from warpcage.studio.jobs import Answer, ChunkQueue, Dispatcher, Driver
 
 LIMIT = 30.0  # seconds that an item may take
-MOST_WAITS = 5000  # of the driver, until a run that nothing happens to any more has ended
+MAX_WAITS = 5000  # of the driver, until a run that nothing happens to any more has ended
 
 NOTHING = Answer("", "", 0, None)
 
@@ -247,7 +247,7 @@ class Run(RuleBasedStateMachine):
         """What is not stopped makes all but what was to be blamed too often, now that nothing happens any more."""
         if not hasattr(self, "engine"):
             return
-        for _ in range(MOST_WAITS):
+        for _ in range(MAX_WAITS):
             if not self.ended:
                 self.go_on(1)
         assert self.ended, "it does not end"

@@ -19,7 +19,7 @@ from splat_scenes import splats_in_box
 
 from warpcage import Cage, CageEdit, Camera, CameraFile, Deformer, Frame, PoseFile, SplatField, VoxelField, load_scene
 from warpcage.core import SPARE
-from warpcage.studio.jobs import MOST_DEFORMERS, PARTS, Fingerprints, Item, JobFile, Missing, Worker, write_array
+from warpcage.studio.jobs import MAX_DEFORMERS, PARTS, Fingerprints, Item, JobFile, Missing, Worker, write_array
 from warpcage.view import linear_light, read_image, write_picture
 
 CAMERAS = [Camera.look_at((2.5, 1.2 * side, 1.0), (0, 0, 0), width=40, height=32) for side in (-1, 1)]
@@ -246,7 +246,7 @@ def test_what_was_loaded_is_bounded_by_bytes_and_by_number(files, tmp_path):
     with Worker(files, tmp_path, "cpu") as worker:
         for resolution in (8, 9, 10, 11, 12, 13, 8):
             worker.run(frame(resolution=resolution))
-        assert worker.frames.counts.deformers == 7 and len(worker.frames.kept) == MOST_DEFORMERS
+        assert worker.frames.counts.deformers == 7 and len(worker.frames.kept) == MAX_DEFORMERS
         for name in "abcab":
             worker.run(frame(field=f"{name}.npz", resolution=8))
         assert worker.fields.read_count == 4

@@ -80,7 +80,7 @@ def _sideways_normals(cage: ClosedMesh, normal: np.ndarray) -> np.ndarray:
     return total / np.where(length > 0.0, length, 1.0)
 
 
-_LEAST_COUNT, _MOST_COUNT = 8, 2000
+_MIN_COUNT, _MAX_COUNT = 8, 2000
 
 
 def voxel_spacing(extent, vertex_count) -> float:
@@ -105,13 +105,13 @@ def surface_points(vertices, faces, spacing) -> np.ndarray:
 
 def checked_count(vertex_count, name: str = "vertex_count") -> int:
     whole = isinstance(vertex_count, int | np.integer) and not isinstance(vertex_count, bool)
-    if not whole or not _LEAST_COUNT <= vertex_count <= _MOST_COUNT:
-        raise InputError(f"{name} must be a whole number, {_LEAST_COUNT} to {_MOST_COUNT}, got {vertex_count!r}")
+    if not whole or not _MIN_COUNT <= vertex_count <= _MAX_COUNT:
+        raise InputError(f"{name} must be a whole number, {_MIN_COUNT} to {_MAX_COUNT}, got {vertex_count!r}")
     return int(vertex_count)
 
 
 #: Points of a mesh that are all looked at; of more, one in each cell of a tenth of a voxel.
-_MOST_POINTS = 1_000_000
+_MAX_POINTS = 1_000_000
 
 
 def cage_around_mesh(
@@ -138,7 +138,7 @@ def cage_around_mesh(
     spacing = voxel_spacing(np.ptp(vertices, axis=0), vertex_count)
     points = np.concatenate([vertices, surface_points(vertices, faces, 0.5 * spacing)])
     slack = 0.29 * spacing  # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
-    if len(points) > _MOST_POINTS:  # long, narrow faces: a point stands for those less than a diagonal away
+    if len(points) > _MAX_POINTS:  # long, narrow faces: a point stands for those less than a diagonal away
         cell = np.floor((points - points.min(axis=0)) / (0.1 * spacing)).astype(np.int64)
         # numbered row by row: sorted in a fraction of the time of rows of three
         _, one = np.unique(np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1)), return_index=True)

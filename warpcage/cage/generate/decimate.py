@@ -28,7 +28,7 @@ _ON_PLANE = 1e-9
 _COST_DIGITS = 9
 
 #: New faces must not turn farther than by this cosine, nor be flatter than this evenness (1 for equilateral).
-_LEAST_TURN, _LEAST_EVEN = 0.2, 0.15
+_MIN_TURN, _MIN_EVEN = 0.2, 0.15
 
 
 def progressive_hull(vertices, faces, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -107,10 +107,7 @@ class EdgeCollapses:
         """The edges (n,) that may collapse to places lifted from base (e, 3) and add less than the room allowed (e,);
         those places (n, 3), the room (n,) that they add, and what long edges and uneven faces cost (n,)."""
         place, (room, square, uneven) = np.empty((self._count, 3)), np.empty((3, self._count))
-        limits = [
-            on_cpu(room_allowed, wp.float64),
-            *map(wp.float64, (_ON_PLANE * self._side, _LEAST_TURN, _LEAST_EVEN)),
-        ]
+        limits = [on_cpu(room_allowed, wp.float64), *map(wp.float64, (_ON_PLANE * self._side, _MIN_TURN, _MIN_EVEN))]
         inputs = [self._edges, on_cpu(base, wp.vec3d), self._means, *self._planes, *limits, *self._surface]
         outputs = [on_cpu(place, wp.vec3d), *(on_cpu(found, wp.float64) for found in (room, square, uneven))]
         launch(measure_collapses, self._count, inputs, outputs, device="cpu")

@@ -9,7 +9,7 @@ import numpy as np
 from ...mesh.mesh import ClosedMesh
 
 #: Pieces that the sides of faces are cut in for samples, least and most; drawing needs fewer: a face is short in many.
-_LEAST_PIECES, _MOST_PIECES, _MOST_DRAWN_PIECES = 8, 40, 24
+_MIN_PIECES, _MAX_PIECES, _MAX_DRAWN_PIECES = 8, 40, 24
 
 #: Pieces of a face's sides where vertices are pulled, and the barycentric weight from which a sample is near a corner.
 _PULL_PIECES, _NEAR_CORNER = 6, 0.3
@@ -66,7 +66,7 @@ def spread(shell, vertices, faces, need, mirror, rounds: int) -> np.ndarray:
     for turn in range(rounds):
         vertices = smoothed(vertices, faces, edges, _SPREAD_SMOOTHING * (1.0 - turn / rounds))
         vertices = pulled(shell, vertices, faces, level)
-        vertices = pushed(shell, vertices, faces, level, need, _LEAST_PIECES)
+        vertices = pushed(shell, vertices, faces, level, need, _MIN_PIECES)
     return (mirror or _same)(vertices)
 
 
@@ -78,7 +78,7 @@ def drawn_close(shell, vertices, faces, need, mirror=None, rounds: int = _DRAWN_
     mirror, edges = mirror or _same, ClosedMesh(vertices, faces).edges
     level, softness = need + _LEVEL * shell.spacing, _SOFTNESS * shell.spacing
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    pieces = int(np.clip(np.ceil(lengths.max() / max(need, shell.spacing)), _LEAST_PIECES, _MOST_DRAWN_PIECES))
+    pieces = int(np.clip(np.ceil(lengths.max() / max(need, shell.spacing)), _MIN_PIECES, _MAX_DRAWN_PIECES))
     longest = min(_STEP_OF_EDGE * lengths.mean(), _STEP_OF_NEED * max(need, shell.spacing))
     mean, square = np.zeros_like(vertices), np.zeros((len(vertices), 1))
     for turn in range(rounds):
@@ -223,7 +223,7 @@ def sampling(vertices, edges, spacing, need) -> tuple[int, float]:
     """Pieces to cut the sides of faces in, so that samples lie about half a voxel apart, and how far the samples must
     be off a point so that the faces between them, at most side / sqrt(3) of a piece away, are `need` off it."""
     longest = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).max()
-    count = int(np.clip(np.ceil(2.0 * longest / spacing), _LEAST_PIECES, _MOST_PIECES))
+    count = int(np.clip(np.ceil(2.0 * longest / spacing), _MIN_PIECES, _MAX_PIECES))
     return count, float(np.hypot(need, longest / count / np.sqrt(3.0)))
 
 

@@ -216,7 +216,7 @@ _START = 0.4
 
 #: Voxels off the object where the smoothed distance has a surface, whatever the object: smoothing over one voxel lifts
 #: the distance to a sheet, a line and a point to 0.8, 1.3 and 1.6 at the object itself.
-_LEAST_LEVEL = 1.8
+_MIN_LEVEL = 1.8
 
 #: Rounds of spreading, tried in this order, as many may tangle a thin surface; shares of the way from there to drawn
 #: close; and the rounds tried where nothing else holds: the surface given holds the object by construction.
@@ -235,13 +235,13 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     size = np.ptp(points, axis=0).max()
     need = slack + margin
     shell = ObjectShell(points, spacing, need + max(0.06 * size, 2.0 * spacing), need)
-    edge = edge_length(shell, max(need, _LEAST_LEVEL * spacing), vertex_count)
+    edge = edge_length(shell, max(need, _MIN_LEVEL * spacing), vertex_count)
     reasons = []
     for fine, last in _ATTEMPTS:
         found = []
         for closing in CLOSINGS:
             coarse = max(spacing, closing * edge / 16.0)  # wide closings need no fine voxels
-            room = max(closing * edge, 2.0 * coarse, (_LEAST_LEVEL * coarse - need) / _START)
+            room = max(closing * edge, 2.0 * coarse, (_MIN_LEVEL * coarse - need) / _START)
             shell = ObjectShell(points, coarse, need + room, need)
             step = 2 if edge > 8.0 * coarse else 1
             start = decimated(*shell.surface(need + _START * (shell.reach - need), step), fine * vertex_count)

@@ -328,7 +328,7 @@ MIN_OUTER_SIDE, MAX_OUTER_SIDE = 4, 1290
 OUTER_NODE_BYTES, OUTER_ROW_BYTES = 10, 40
 
 #: Opacity of a voxel, of 255, above which nothing is told apart: 254.5 stands for all of it.
-MOST_OPACITY = 254.5
+MAX_OPACITY = 254.5
 
 
 def outer_arrays(outer: OuterContents, cuts: Cuts) -> dict[str, np.ndarray]:
@@ -381,7 +381,7 @@ def read_outer(contents: dict[str, np.ndarray], path: pathlib.Path) -> OuterCont
     sky = require_numbers(contents, OUTER_PREFIX + "sky", (None, 3), path).astype(np.float32) / 255
     values = np.empty((rows, 4), np.float32)
     values[:, :3] = rgba[:, :3] / np.float32(255)
-    values[:, 3] = -np.log1p(-np.minimum(rgba[:, 3], MOST_OPACITY) / 255) * (side / 4.0)
+    values[:, 3] = -np.log1p(-np.minimum(rgba[:, 3], MAX_OPACITY) / 255) * (side / 4.0)
     return OuterContents(read("center", (3,)), read("half", (3,)), links, values, sky)
 
 

@@ -11,7 +11,7 @@ from ...errors import InputError
 from ...field.sparse import harmonics_on_host
 from ...field.voxel_field import VoxelField
 from ...select.selection import visible_rows
-from ...splats.io.contents import LEAST_OPACITY
+from ...splats.io.contents import MIN_OPACITY
 from ...splats.splat_field import SplatField
 from ..options import checked_seed
 
@@ -24,7 +24,7 @@ SPREAD = 0.4
 ASIDE = 0.25
 
 #: Greatest opacity of a splat.
-MOST_OPACITY = 0.995
+MAX_OPACITY = 0.995
 
 #: Matter of at least this optical depth a voxel hides what is so many voxels and more inside it.
 SOLID_DEPTH, HIDING_VOXELS = 1.0, 4
@@ -63,13 +63,13 @@ def to_splats(field: VoxelField, *, most: int = 200_000, seed: int = 0) -> Splat
     cells = cells[seen[links[tuple(cells.T)]]]
     centers = field.bounds[0] + (cells + 0.5) * field.voxel_size
     opacities = _opacities(_mean_densities(field, centers) * side)
-    chosen = np.flatnonzero(opacities >= LEAST_OPACITY)
+    chosen = np.flatnonzero(opacities >= MIN_OPACITY)
     if not len(chosen):
         raise InputError("the field has nothing that can be seen: no splats can be made of it")
     larger = max(1.0, np.sqrt(len(chosen) / most))  # what is seen is a surface
     if len(chosen) > most:
         chosen = np.sort(random.choice(chosen, most, replace=False))
-    opacities = np.minimum(opacities[chosen], MOST_OPACITY)
+    opacities = np.minimum(opacities[chosen], MAX_OPACITY)
     quaternions = np.zeros((len(chosen), 4), np.float32)
     quaternions[:, 0] = 1.0
     return SplatField(

@@ -24,11 +24,11 @@ from ...kernels.fitting.batches import Pictures
 from ...kernels.splats import composite, composite_cpu, fit, project, tiles
 from ...scene.scene import Scene
 from ...splats.fit import SplatGradients
-from ...splats.io.contents import LEAST_OPACITY, SplatContents, logits_of, opacities_of
-from ...splats.render import IMAGE_BLUR, MOST_ENTRIES, PROJECT_WORK, splat_lens
+from ...splats.io.contents import MIN_OPACITY, SplatContents, logits_of, opacities_of
+from ...splats.render import IMAGE_BLUR, MAX_ENTRIES, PROJECT_WORK, splat_lens
 from ...splats.splat_field import SplatField
 from ...view.camera import Camera
-from ..batches import LEAST_ERROR, PRECISIONS, TrainingPictures, counted_pixels, picture_bytes
+from ..batches import MIN_ERROR, PRECISIONS, TrainingPictures, counted_pixels, picture_bytes
 from ..memory import memory_limit, memory_text, require_image_memory
 from ..options import checked_seed
 from .growth import GrowingSplats
@@ -41,7 +41,7 @@ from .start import Start, fitted_scene, scene_units, shrunk_camera, starting_spl
 NEAR = 0.01
 
 #: Room for entries of splats in tiles, of the most that any picture was seen to have; and for how few at least.
-ROOM_SHARE, LEAST_ROOM = 1.5, 1 << 16
+ROOM_SHARE, MIN_ROOM = 1.5, 1 << 16
 
 #: Pictures that are counted to find that room, and the share of it above which it is found anew.
 COUNTED_VIEWS, FULL_SHARE = 24, 0.85
@@ -66,7 +66,7 @@ class TrainingView(SplatGradients):
         side = int(tiles.TILE_SIDE)
         self.grid.columns, self.grid.rows = -(-width // side), -(-height // side)
         self.grid.width, self.grid.height = width, height
-        self.room = LEAST_ROOM
+        self.room = MIN_ROOM
         self.most = wp.zeros(1, dtype=wp.int64, device=device)  # entries of any picture yet
         self.missed = wp.zeros(2, dtype=wp.int32, device=device)  # whether this picture has too many, and how many had
 
@@ -376,8 +376,8 @@ class SplatFit(HeldOnDevice):
         for number in np.linspace(0, len(self.scene) - 1, min(COUNTED_VIEWS, len(self.scene))).astype(int):
             wp.copy(self._lens, self._lenses, src_offset=int(number), count=1)
             most = max(most, self._view.count_entries(self.growing.splats, self.growing.count, self._lens))
-        room = max(LEAST_ROOM, int(ROOM_SHARE * most))
-        if room > MOST_ENTRIES:
+        room = max(MIN_ROOM, int(ROOM_SHARE * most))
+        if room > MAX_ENTRIES:
             raise InputError(f"splats touch {most} tiles of a picture: fit smaller pictures, or fewer splats")
         self._view.room = room
         self._change()
@@ -413,7 +413,7 @@ class SplatFit(HeldOnDevice):
             weights = weights if weights.size else np.ones(errors.shape)
             if weights.any():  # beyond a smaller picture they are 0
                 error = float(np.average(errors, weights=weights))
-                self.psnr = -10.0 * math.log10(max(error, LEAST_ERROR))
+                self.psnr = -10.0 * math.log10(max(error, MIN_ERROR))
         return self.psnr
 
     def _errors(self, shown: wp.array, alpha: wp.array) -> np.ndarray:
@@ -443,7 +443,7 @@ class SplatFit(HeldOnDevice):
     def field(self) -> SplatField:
         """The splats so far, in the scene's own world, without those that nobody sees."""
         values: dict[str, Any] = self.growing.to_contents(self.growing.splats.degree)
-        kept = opacities_of(values["logits"]) >= LEAST_OPACITY
+        kept = opacities_of(values["logits"]) >= MIN_OPACITY
         values = {name: rows[kept] for name, rows in values.items()}
         values["centers"] = values["centers"].astype(np.float64) * self._unit + self._center
         values["log_scales"] = values["log_scales"] + np.float32(math.log(self._unit))

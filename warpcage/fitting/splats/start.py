@@ -18,10 +18,10 @@ from ...view.pictures import shrink_weights
 from ..silhouettes import Silhouettes, possible_voxels
 
 #: Fewer points of a capture say too little about it.
-LEAST_POINTS = 100
+MIN_POINTS = 100
 
 #: Most places that are drawn where there are no points, as 3DGS does (Kerbl et al. 2023).
-MOST_PLACES = 100_000
+MAX_PLACES = 100_000
 
 #: Where splats may begin: "auto" takes points where there are enough, the inside of silhouettes, or a fit of voxels.
 STARTS = ("auto", "points", "voxels", "random")
@@ -42,7 +42,7 @@ OPAQUE = 0.5
 RESOLUTION, VIEW_SHARE = 128, 0.1
 
 #: Neighbours that say how large a splat is, and the least size over the median one: points may lie on each other.
-NEIGHBORS, LEAST_SIZE = 3, 1e-3
+NEIGHBORS, MIN_SIZE = 3, 1e-3
 
 #: Nearest and farthest place that is drawn in a view, in units of `scene_units`.
 NEAR, FAR = 0.1, 10.0
@@ -51,14 +51,14 @@ NEAR, FAR = 0.1, 10.0
 VIEWS, LOOKING_VIEWS, TRIES = 3, 64, 16
 
 #: Least `extent` of a scene: a single camera has none, and the rates of a fit are multiples of it.
-LEAST_EXTENT = 0.1
+MIN_EXTENT = 0.1
 
 #: Where pictures show what no point tells of: cells along their longer side in which points are looked for, how many
 #: points look, places over points, and how far these are, in units of `scene_units`.
 GAP_CELLS, GAP_POINTS, GAP_SHARE, GAP_DISTANCE = 24, 50_000, 0.2, 20.0
 
 #: Quick fits of voxels: longest side of their pictures, options, and views below which they show too little.
-QUICK_SIDE, QUICK_SIDE_CPU, LEAST_VIEWS = 400, 100, 8
+QUICK_SIDE, QUICK_SIDE_CPU, MIN_VIEWS = 400, 100, 8
 QUICK_FIT = {"epochs": 2.0, "max_resolution": 192, "max_outer_resolution": 192}
 
 #: Mean of the cameras' axes, over their length, from which they look the same way.
@@ -98,7 +98,7 @@ def scene_units(scene: Scene) -> tuple[np.ndarray, float, float]:
     spread = float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
     if not unit > 1e-9 * max(1.0, float(np.abs(focus).max())):  # all at one place, turning about it
         unit = spread if spread > 0 else 1.0
-    return focus, unit, max(1.1 * spread / unit, LEAST_EXTENT)
+    return focus, unit, max(1.1 * spread / unit, MIN_EXTENT)
 
 
 def starting_splats(scene: Scene, *, most: int, seed: int, device: wp.DeviceLike = None, kind: str = "auto") -> Start:
@@ -107,11 +107,11 @@ def starting_splats(scene: Scene, *, most: int, seed: int, device: wp.DeviceLike
     random = np.random.default_rng(seed)
     found = _captured_points(scene, most, random) if kind in ("auto", "points") else None
     if found is None and kind == "points":
-        raise InputError(f"the scene has fewer than {LEAST_POINTS} points to begin with")
+        raise InputError(f"the scene has fewer than {MIN_POINTS} points to begin with")
     has_points = found is not None
     if found is None:
-        count = min(most, MOST_PLACES)
-        if kind == "voxels" or (kind == "auto" and scene.alphas is None and len(scene) >= LEAST_VIEWS):
+        count = min(most, MAX_PLACES)
+        if kind == "voxels" or (kind == "auto" and scene.alphas is None and len(scene) >= MIN_VIEWS):
             found = _surface_places(scene, count, random, device)
         else:
             if scene.alphas is not None:
@@ -171,7 +171,7 @@ def _gap_rays(scene: Scene, view: int, points: np.ndarray, random: np.random.Gen
 
 def _captured_points(scene: Scene, most: int, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray, str] | None:
     """Points of the capture, (n, 3) each of places and colours, and what they are; None where there are too few."""
-    if scene.points is None or len(scene.points) < LEAST_POINTS:
+    if scene.points is None or len(scene.points) < MIN_POINTS:
         return None
     focus, unit, _ = scene_units(scene)
     kept = np.flatnonzero(np.linalg.norm(scene.points - focus, axis=1) <= FARTHEST * unit)
@@ -180,7 +180,7 @@ def _captured_points(scene: Scene, most: int, random: np.random.Generator) -> tu
         pictured, share = _pictured(scene, scene.points[kept])
         inside = share >= OBJECT_SHARE  # masks are rough: some may miss what others show
         kept, colors = kept[inside], (pictured if colors is None else colors)[inside]
-    if len(kept) < LEAST_POINTS:
+    if len(kept) < MIN_POINTS:
         return None
     source = f"{len(kept):,} points of the capture"
     if len(kept) > most:
@@ -329,5 +329,5 @@ def _log_scales(centers: np.ndarray, scene: Scene) -> np.ndarray:
         distances, _ = KDTree(centers).query(centers, neighbors + 1, workers=cpu_threads())
         sizes = np.sqrt((np.asarray(distances)[:, 1:] ** 2).mean(axis=1))
     apart = sizes[sizes > 0.0]
-    least = LEAST_SIZE * (float(np.median(apart)) if len(apart) else scene_units(scene)[1])
+    least = MIN_SIZE * (float(np.median(apart)) if len(apart) else scene_units(scene)[1])
     return np.log(np.maximum(sizes, least)).astype(np.float32)

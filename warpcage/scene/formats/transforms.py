@@ -250,7 +250,7 @@ FRAME_FILE = "dataparser_transforms.json"
 
 
 #: Scales and shifts of frames are no larger, and scales no smaller than one over it.
-MOST_SCALE = 1e9
+MAX_SCALE = 1e9
 
 
 def read_frame(path: PathLike) -> Similarity:
@@ -266,7 +266,7 @@ def read_frame(path: PathLike) -> Similarity:
     left, lengths, right = np.linalg.svd(motion[:3, :3])
     if np.abs(lengths - 1.0).max() > 1e-3 or np.linalg.det(left @ right) < 0.0 or (motion[3] != (0, 0, 0, 1)).any():
         raise InputError(f"{where} must be a turn and a shift: it changes lengths, mirrors, or has another last row")
-    if not (1.0 / MOST_SCALE <= scale <= MOST_SCALE and np.abs(motion[:3, 3]).max() <= MOST_SCALE):
+    if not (1.0 / MAX_SCALE <= scale <= MAX_SCALE and np.abs(motion[:3, 3]).max() <= MAX_SCALE):
         raise InputError(f"{path}: a scale of {scale:g} or a shift of {shown(motion[:3, 3].tolist())} is not a frame's")
     return Similarity(scale, left @ right, scale * motion[:3, 3])  # rounded to float32 in the file
 

@@ -26,10 +26,10 @@ from .ply import PlyParts
 CHUNK = 256
 
 #: Scales of files beyond exp(+-20) are cut.
-MOST_LOG_SCALE = 20.0
+MAX_LOG_SCALE = 20.0
 
 #: What files hold beside what each chunk says of its own values: the least and the largest, and the step between two.
-RANGES = {FURTHER: (-4.0, 4.0, 8.0 / 256.0), LOGS: (-MOST_LOG_SCALE, MOST_LOG_SCALE, 0.0)}
+RANGES = {FURTHER: (-4.0, 4.0, 8.0 / 256.0), LOGS: (-MAX_LOG_SCALE, MAX_LOG_SCALE, 0.0)}
 
 _WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
@@ -88,7 +88,7 @@ def write_compressed_ply(contents: SplatContents) -> bytes:
     contents = _near_together(contents)
     count = contents.count
     begins = np.arange(0, count, CHUNK)
-    scales = np.clip(contents.log_scales.astype(np.float64), -MOST_LOG_SCALE, MOST_LOG_SCALE)
+    scales = np.clip(contents.log_scales.astype(np.float64), -MAX_LOG_SCALE, MAX_LOG_SCALE)
     colors = 0.5 + Y0 * contents.harmonics[:, 0].astype(np.float64)
     named = {"": contents.centers.astype(np.float64), "scale_": scales}
     ranges, placed = {}, {}

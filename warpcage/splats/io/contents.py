@@ -18,7 +18,7 @@ from ...field.io.field_file import Y0
 DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}
 
 #: A splat less opaque than this is not seen in pictures of bytes.
-LEAST_OPACITY = 1.0 / 255.0
+MIN_OPACITY = 1.0 / 255.0
 
 #: Positions are rounded by much where float32 tells apart no more than this share of the usual splat's length.
 FINEST = 0.1
@@ -30,14 +30,14 @@ _ALPHA_EDGE = 0.25 / 255.0
 _ARRAYS = ("centers", "log_scales", "quaternions", "logits", "harmonics")
 
 #: Logarithms of scales beyond which float32 cannot hold a covariance.
-MOST_LOG_SCALE = 40.0
+MAX_LOG_SCALE = 40.0
 
 
 #: What formats of files may bound: coefficients of degree 0, as PLY files call them, those of higher ones, and scales.
 FIRST, FURTHER, LOGS = "f_dc", "f_rest", "log scales"
 
 #: The same of a format with float32 scales: below the least of them they are zero, which no splat has.
-FLOAT_LOGS = (float(np.log(np.finfo(np.float32).tiny)), MOST_LOG_SCALE, 0.0)
+FLOAT_LOGS = (float(np.log(np.finfo(np.float32).tiny)), MAX_LOG_SCALE, 0.0)
 
 #: Splats that may all be the same: made by hand they are few.
 _FEW_EQUAL = 16
@@ -89,7 +89,7 @@ def checked_contents(contents: SplatContents) -> SplatContents:
         if bad.any():
             row = int(np.argwhere(bad)[0][0])
             raise InputError(f"splat {row} has {name} that are not finite: {values[row].tolist()}")
-    if contents.count and contents.log_scales.max() > MOST_LOG_SCALE:
+    if contents.count and contents.log_scales.max() > MAX_LOG_SCALE:
         row = int(np.argmax(contents.log_scales.max(axis=1)))
         raise InputError(
             f"splat {row} has a scale of exp({contents.log_scales[row].max():.3g}): float32 cannot hold it"
@@ -220,7 +220,7 @@ def _are_zero(contents: SplatContents) -> np.ndarray:
 def bad_rows(contents: SplatContents) -> np.ndarray:
     """(n,) bool which splats have values that are not finite, that float32 cannot hold a covariance of, or none but
     zero. An opacity whose logit is infinite is 0 or 1, and good."""
-    bad = np.isnan(contents.logits) | (contents.log_scales > MOST_LOG_SCALE).any(axis=1) | _are_zero(contents)
+    bad = np.isnan(contents.logits) | (contents.log_scales > MAX_LOG_SCALE).any(axis=1) | _are_zero(contents)
     for values in (contents.centers, contents.log_scales, contents.quaternions, contents.harmonics):
         bad |= ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     return bad

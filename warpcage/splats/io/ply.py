@@ -28,7 +28,7 @@ _REST = re.compile(r"f_rest_(\d+)")
 _FLOATS = ("f4", "f8")
 
 #: Infinite logits are written so: other programs drop what is not finite, and the opacity in float32 is 0 or 1 as well.
-MOST_LOGIT = 80.0
+MAX_LOGIT = 80.0
 
 #: What an opacity of 1 may be rounded up by.
 _ROUNDED = 1e-5
@@ -232,7 +232,7 @@ def _properties(contents: SplatContents) -> dict[str, np.ndarray]:
     values = {name: contents.centers[:, k] for k, name in enumerate("xyz")}
     values |= {f"f_dc_{k}": contents.harmonics[:, 0, k] for k in range(3)}
     values |= {f"f_rest_{c * rest + k}": contents.harmonics[:, 1 + k, c] for c in range(3) for k in range(rest)}
-    values |= {"opacity": np.clip(contents.logits, -MOST_LOGIT, MOST_LOGIT)}
+    values |= {"opacity": np.clip(contents.logits, -MAX_LOGIT, MAX_LOGIT)}
     values |= {f"scale_{k}": contents.log_scales[:, k] for k in range(3)}
     return values | {f"rot_{k}": contents.quaternions[:, k] for k in range(4)}
 

@@ -106,10 +106,10 @@ def _widest(vectors: np.ndarray, labels: np.ndarray, cells: int) -> tuple[np.nda
 META = "meta.json"
 
 #: Most bytes of that file in an archive, of which others have some thousand.
-_MOST_META = 1 << 24
+_MAX_META = 1 << 24
 
 #: Entries of the palette of harmonics in a row of its picture, and at most.
-_ROW, _MOST_ENTRIES = 64, 1 << 16
+_ROW, _MAX_ENTRIES = 64, 1 << 16
 
 #: What the fourth number of a quaternion's pixel is counted from: which of w, x, y and z is the largest.
 _LARGEST = 252
@@ -172,7 +172,7 @@ def write_sog(contents: SplatContents) -> bytes:
     pictures["sh0.webp"] = np.column_stack([nearest(codes, contents.harmonics[:, 0]), alphas])
     meta["sh0"] = {"codebook": codes.tolist(), "files": ["sh0.webp"]}
     if further and count:
-        entries, labels = palette(contents.harmonics[:, 1:].reshape(count, -1), _MOST_ENTRIES)
+        entries, labels = palette(contents.harmonics[:, 1:].reshape(count, -1), _MAX_ENTRIES)
         codes = codebook(entries)
         names = ["shN_centroids.webp", "shN_labels.webp"]
         rows = -(-len(entries) // _ROW)
@@ -259,7 +259,7 @@ def _archive_folder(archive: zipfile.ZipFile) -> str:
 
 def _archive_meta(path: pathlib.Path, archive: zipfile.ZipFile, inside: str) -> dict[str, Any]:
     """What the meta.json of an archive tells."""
-    data = read_member(path, archive, inside + META, JSON_ROOM, _MOST_META)
+    data = read_member(path, archive, inside + META, JSON_ROOM, _MAX_META)
     try:
         meta = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:  # a number of thousands of digits is a ValueError too
@@ -334,9 +334,9 @@ class _SogReader:
             raise InputError(
                 f"{self.path}: {shown(told['bands'])} bands of harmonics do not fit a palette {width} pixels wide"
             )
-        if height * _ROW > 2 * _MOST_ENTRIES:
+        if height * _ROW > 2 * _MAX_ENTRIES:
             raise InputError(
-                f"{self.path}: a palette of harmonics has at most {_MOST_ENTRIES} entries, got {height * _ROW}"
+                f"{self.path}: a palette of harmonics has at most {_MAX_ENTRIES} entries, got {height * _ROW}"
             )
         require_host_memory(_HARMONIC_BYTES * coefficients * self.count, f"{self.path}: its harmonics need")
         codes = _decoded_picture(self.path, data)[..., :3].reshape(height * _ROW, coefficients, 3)

@@ -31,7 +31,7 @@ _MAGIC, _GZIP = b"NGSP", b"\x1f\x8b"
 COLOR_SCALE, FRACTIONAL_BITS = 0.15, 12
 
 #: Most bits after the point.
-_MOST_BITS = 23
+_MAX_BITS = 23
 
 #: What files hold: the least and the largest, and the step between two.
 RANGES = {
@@ -51,13 +51,13 @@ _AXES_RECORD = 0xADBE0003
 _AXES = "LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split()
 
 #: Most bytes of extensions.
-_MOST_EXTENSIONS = 1 << 20
+_MAX_EXTENSIONS = 1 << 20
 
 #: Bytes of memory that an unpacked byte takes until its splats are made.
 _ROOM = 16
 
 #: Harmonics of a channel that a field has room for.
-_MOST_HARMONICS = 15
+_MAX_HARMONICS = 15
 
 
 def read_spz(path: pathlib.Path) -> SplatContents:
@@ -77,9 +77,9 @@ def read_spz_data(path: pathlib.Path, data: bytes) -> SplatContents:
     if not 1 <= version <= (3 if packed else 4):
         most = "1 to 3 in gzip" if packed else "1 to 4"
         raise InputError(f"{path}: .spz files of version {most} are read, this is version {version}")
-    if degree > 4 or bits > _MOST_BITS:
+    if degree > 4 or bits > _MAX_BITS:
         raise InputError(
-            f"{path}: harmonics of degree {degree} and {bits} bits after the point: at most 4 and {_MOST_BITS}"
+            f"{path}: harmonics of degree {degree} and {bits} bits after the point: at most 4 and {_MAX_BITS}"
         )
     further = (degree + 1) ** 2 - 1
     widths = (6 if version == 1 else 9, 1, 3, 3, 3 if version < 3 else 4, 3 * further)
@@ -89,7 +89,7 @@ def read_spz_data(path: pathlib.Path, data: bytes) -> SplatContents:
     if version == 4:
         parts, extensions = _streams(path, data, [count * width for width in widths])
     else:
-        whole = gunzipped(path, data, _HEADER.size + size + _MOST_EXTENSIONS) if packed else data
+        whole = gunzipped(path, data, _HEADER.size + size + _MAX_EXTENSIONS) if packed else data
         extra = len(whole) - _HEADER.size - size
         if extra < 0 or (extra and not flags & _EXTENDED):
             raise InputError(
@@ -101,7 +101,7 @@ def read_spz_data(path: pathlib.Path, data: bytes) -> SplatContents:
     tables = [np.frombuffer(part, np.uint8).reshape(count, width) for part, width in zip(parts, widths, strict=True)]
     if degree == 4:
         warn_caller(f"{path}: its harmonics of degree 4 are left out: those of degree 0 to 3 are read")
-    contents = _splats(tables, version, bits, min(further, _MOST_HARMONICS), bool(flags & _ANTIALIASED))
+    contents = _splats(tables, version, bits, min(further, _MAX_HARMONICS), bool(flags & _ANTIALIASED))
     axes = _declared_axes(path, extensions) if flags & _EXTENDED else SPZ_AXES
     return turned(contents, axes_matrix(axes))
 
@@ -134,7 +134,7 @@ def _fractional_bits(contents: SplatContents) -> int:
     if not contents.count:
         return FRACTIONAL_BITS
     finest = FINEST * usual_size(contents)
-    bits = int(np.clip(np.ceil(-np.log2(finest)), FRACTIONAL_BITS, _MOST_BITS))
+    bits = int(np.clip(np.ceil(-np.log2(finest)), FRACTIONAL_BITS, _MAX_BITS))
     reach = float(np.abs(contents.centers).max())
     while bits > 0 and reach * (1 << bits) > _MOST:
         bits -= 1
@@ -155,7 +155,7 @@ def _streams(path: pathlib.Path, data: bytes, sizes: list[int]) -> tuple[list[by
     *_, streams, table = _HEADER_4.unpack_from(data)
     wanted = sizes if sizes[-1] or streams == len(sizes) else sizes[:-1]  # without harmonics they have no stream
     place = table + streams * _STREAM.size
-    if streams != len(wanted) or not _HEADER_4.size <= table <= table + _MOST_EXTENSIONS or place > len(data):
+    if streams != len(wanted) or not _HEADER_4.size <= table <= table + _MAX_EXTENSIONS or place > len(data):
         raise InputError(f"{path}: {len(wanted)} streams expected, got {streams} with their table at byte {table}")
     parts = []
     for k, size in enumerate(wanted):

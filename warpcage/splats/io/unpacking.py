@@ -18,7 +18,7 @@ from ...errors import InputError
 
 #: Bytes that a packed byte may come to, beyond some that any file may have. The places of splats alone are a tenth of
 #: what files of them hold, and hardly pack.
-MOST_PACKED, LITTLE = 256, 1 << 20
+MAX_PACKED, LITTLE = 256, 1 << 20
 
 #: The most that zstd looks back, as a power of two: what its own program unpacks without being asked for more.
 _WINDOW = 27
@@ -27,7 +27,7 @@ _WINDOW = 27
 def require_packed(path: pathlib.Path, claimed: int, packed: int, what: str, times: int = 1) -> None:
     """Refuse far more bytes than splats were ever packed in, before they are unpacked; times: how much better
     than others what is packed there may be."""
-    if claimed > times * (MOST_PACKED * packed + LITTLE):
+    if claimed > times * (MAX_PACKED * packed + LITTLE):
         raise InputError(f"{path}: {what} claim {claimed} bytes out of {packed}: splats cannot be packed so far")
 
 

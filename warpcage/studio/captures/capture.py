@@ -25,11 +25,11 @@ from ...scene.coverage import draw_coverage, find_coverage
 from ...view.pictures import image_size, write_png
 from .colmap import Solver, load_pycolmap
 from .feature_masks import PictureMask, masks_of, write_feature_masks
-from .report import MOST_THUMBNAILS, THUMBNAIL, CaptureReport, make_contact_sheet, make_report
+from .report import MAX_THUMBNAILS, THUMBNAIL, CaptureReport, make_contact_sheet, make_report
 from .scene_folder import cameras_of, object_box, placed, write_scene
-from .solving import HOW_TO, LEAST_PICTURES, Solution, doubts, solve
+from .solving import HOW_TO, MIN_PICTURES, Solution, doubts, solve
 from .sources import ENDINGS, Source, chosen_names, read_sources, shrink_factor
-from .video import LEAST_STEP, FrameScores, pick_frames, scan_video, shrink_all, write_frames
+from .video import MIN_STEP, FrameScores, pick_frames, scan_video, shrink_all, write_frames
 
 #: Counts up when what the folder holds changes its meaning.
 LAYOUT = 1
@@ -86,13 +86,13 @@ def publish(new: pathlib.Path, output: pathlib.Path) -> None:
 
 
 #: Fewest features that a usual picture must have.
-LEAST_FEATURES = 40
+MIN_FEATURES = 40
 
-#: As LEAST_STEP of `pick_frames`, where an object turns before a still wall, which most of a picture shows.
-TURNTABLE_STEP = 0.1 * LEAST_STEP
+#: As MIN_STEP of `pick_frames`, where an object turns before a still wall, which most of a picture shows.
+TURNTABLE_STEP = 0.1 * MIN_STEP
 
 #: Bounds of the options.
-MOST_FRAMES, LEAST_SIZE, MOST_SIZE = 2000, 100, 8000
+MAX_FRAMES, MIN_SIZE, MAX_SIZE = 2000, 100, 8000
 
 
 def capture(
@@ -155,8 +155,8 @@ def capture(
         UserWarning: For pictures and frames that cannot be read, and for pictures without a camera.
     """
     source, output = checked_path(path, "the capture"), checked_path(output, "the output folder")
-    frames = checked_whole(frames, "frames", LEAST_PICTURES, MOST_FRAMES)
-    feature_size = checked_whole(feature_size, "feature_size", LEAST_SIZE, MOST_SIZE)
+    frames = checked_whole(frames, "frames", MIN_PICTURES, MAX_FRAMES)
+    feature_size = checked_whole(feature_size, "feature_size", MIN_SIZE, MAX_SIZE)
     seed = checked_whole(seed, "seed", 0, 2**31 - 1)
     if not source.exists():
         raise MissingFileError(f"video or folder {str(source)!r} is not there")
@@ -266,7 +266,7 @@ def _mask_stamps(source: pathlib.Path, masks: bool | pathlib.Path) -> list[list[
 
 
 def _require_several(count: int, source: pathlib.Path, video: bool) -> None:
-    if count >= LEAST_PICTURES:
+    if count >= MIN_PICTURES:
         return
     if video:
         raise InputError(
@@ -274,7 +274,7 @@ def _require_several(count: int, source: pathlib.Path, video: bool) -> None:
             f"{HOW_TO}"
         )
     raise InputError(
-        f"{str(source)!r} holds {counted(count, 'picture')}: cameras are found of at least {LEAST_PICTURES}, "
+        f"{str(source)!r} holds {counted(count, 'picture')}: cameras are found of at least {MIN_PICTURES}, "
         f"and 30 or more are better; {HOW_TO}"
     )
 
@@ -283,7 +283,7 @@ def _video_sources(given: _Given, facts: dict[str, object]) -> list[Source]:
     """The picked frames of a video, written as pictures."""
     video, work, progress = given.source, given.work, given.progress
     scores = _kept_scores(video, work / "scores.npz", progress)
-    picked = pick_frames(scores, given.frames, TURNTABLE_STEP if given.turntable else LEAST_STEP)
+    picked = pick_frames(scores, given.frames, TURNTABLE_STEP if given.turntable else MIN_STEP)
     facts["frames_of_the_video"] = len(scores.times)
     facts["frames_that_cannot_be_decoded"] = scores.broken
     if scores.transfer:
@@ -292,7 +292,7 @@ def _video_sources(given: _Given, facts: dict[str, object]) -> list[Source]:
             f"{str(video)!r} is of high dynamic range ({scores.transfer}): its frames are tone-mapped to sRGB",
             stacklevel=3,
         )
-    if len(picked) < LEAST_PICTURES:
+    if len(picked) < MIN_PICTURES:
         return [Source(str(k), video, scores.size, None, (), False) for k in picked]  # too few to be worth writing
     folder = work / "frames"
     folder.mkdir(exist_ok=True)
@@ -379,7 +379,7 @@ def _find(
 def _require_features(given: _Given, counts: np.ndarray, where: str) -> None:
     """Raises ValueError for pictures of too few features."""
     usual = float(np.median(counts))
-    if usual < LEAST_FEATURES:
+    if usual < MIN_FEATURES:
         help_by = (
             "a pattern on the object, or on the turntable under it"
             if given.turntable
@@ -395,7 +395,7 @@ def _write_contact_sheet(path: pathlib.Path, files: Sequence[pathlib.Path], repo
     """The sheet of all pictures, or of some of them evenly where they are many."""
     from PIL import Image
 
-    chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), MOST_THUMBNAILS)).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), MAX_THUMBNAILS)).round().astype(int))
     thumbnails = []
     for index in chosen:
         picture = Image.open(files[index])

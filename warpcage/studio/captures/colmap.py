@@ -116,13 +116,13 @@ LARGEST = 300
 RATIO = 0.85
 
 #: Fewer of these than this is chance.
-LEAST_ALIKE = 5
+MIN_ALIKE = 5
 
 #: Frames of a video are compared with this many after them, and besides with those at powers of two.
 NEIGHBORS = 10
 
 #: Other pictures that each one is compared with, where not all are.
-MOST_ALIKE = 20
+MAX_ALIKE = 20
 
 #: Folders of so many pictures are compared whole.
 SMALL_FOLDER = 32
@@ -175,10 +175,10 @@ def chosen_pairs(features: list[np.ndarray], *, video: bool) -> list[tuple[int, 
     for a, b in every:
         alike[a, b] = alike[b, a] = likeness(features[a], features[b])
     pairs = set(neighbor_pairs(count)) if video else set()
-    most = MOST_ALIKE // 2 if video else MOST_ALIKE
+    most = MAX_ALIKE // 2 if video else MAX_ALIKE
     for a in range(count):
         best = np.argsort(-alike[a], kind="stable")[:most]
-        pairs |= {(min(a, int(b)), max(a, int(b))) for b in best if alike[a, b] >= LEAST_ALIKE}
+        pairs |= {(min(a, int(b)), max(a, int(b))) for b in best if alike[a, b] >= MIN_ALIKE}
     return sorted(pairs)
 
 
@@ -211,7 +211,7 @@ def time_line(pictures: int, pairs: int, seconds: float, threads: int) -> str:
 
 
 #: Features that a picture has at most.
-MOST_FEATURES = 6000
+MAX_FEATURES = 6000
 
 #: Pictures and pairs that COLMAP takes at once: progress moves, and a killed run loses no more than this.
 PICTURES_AT_ONCE, PAIRS_AT_ONCE = 8, 96
@@ -221,19 +221,19 @@ PICTURES_FOR_LENS = 10
 
 #: The principal point is freed where that takes this share of the mean squared error away: 0.0009 for a video with a
 #: rolling shutter and its middle in the middle, 0.0034 and 0.015 for cameras whose middle is 1 to 3 % off.
-LEAST_GAIN = 0.002
+MIN_GAIN = 0.002
 
 #: The principal point lies within this share of the picture's sides of its middle, or it is left there.
-MOST_OFF_CENTER = 0.1
+MAX_OFF_CENTER = 0.1
 
 #: Up to so many pictures the mapping runs on one thread, which takes hardly longer and always gives the same cameras.
-MOST_ON_ONE_THREAD = 200
+MAX_ON_ONE_THREAD = 200
 
 #: Groups of pictures that are told apart where not all fit together.
 MAX_GROUPS = 4
 
 #: Focal length of a picture that says nothing of it, in longer sides: between phones and their videos.
-USUAL_FOCAL = 0.9
+DEFAULT_FOCAL = 0.9
 
 
 def load_pycolmap() -> Any:
@@ -275,7 +275,7 @@ class Solver:
             self._import_pictures()
         options = colmap.FeatureExtractionOptions()
         options.num_threads, options.use_gpu = self.threads, False
-        options.sift.max_num_features = MOST_FEATURES
+        options.sift.max_num_features = MAX_FEATURES
         reading = {} if self.masks is None else {"reader_options": colmap.ImageReaderOptions(mask_path=self.masks)}
         counts = self._feature_counts()
         left = [name for name, count in zip(self.names, counts, strict=True) if count < 0]
@@ -415,7 +415,7 @@ class Solver:
         # hardly told from a turn of the camera, so that rolling shutters and blur would move it about.
         freed = self._adjusted(model, free=True) if self._tells_middle(model) else None
         gain = 0.0 if freed is None else 1.0 - mean_square(freed) / mean_square(model)
-        return self._adjusted(model, free=gain > LEAST_GAIN and _is_central(freed), robust=True)
+        return self._adjusted(model, free=gain > MIN_GAIN and _is_central(freed), robust=True)
 
     def _tells_middle(self, model: Any) -> bool:
         """Whether each camera has pictures enough to tell where its middle is."""
@@ -455,7 +455,7 @@ class Solver:
         for camera, (size, focal) in enumerate(zip(self.sizes, self.focals, strict=True)):
             names = [name for name, group in zip(self.names, self.groups, strict=True) if group == camera]
             model = "RADIAL" if len(names) >= PICTURES_FOR_LENS else "SIMPLE_RADIAL"
-            options = colmap.ImageReaderOptions(camera_model=model, default_focal_length_factor=USUAL_FOCAL)
+            options = colmap.ImageReaderOptions(camera_model=model, default_focal_length_factor=DEFAULT_FOCAL)
             if focal is not None:
                 middle = f"{size[0] / 2},{size[1] / 2}"
                 options.camera_params = f"{focal},{middle},0" + ",0" * (model == "RADIAL")
@@ -467,7 +467,7 @@ class Solver:
     @property
     def _mapping_threads(self) -> int:
         """One, as the order of sums and of what is drawn by lot hangs on threads; all of them where that takes long."""
-        return 1 if len(self.names) <= MOST_ON_ONE_THREAD else self.threads
+        return 1 if len(self.names) <= MAX_ON_ONE_THREAD else self.threads
 
     def _mapping_options(self) -> Any:
         options = self.colmap.IncrementalPipelineOptions()
@@ -579,8 +579,8 @@ def mean_square(model: Any) -> float:
 def _is_central(model: Any) -> bool:
     """Whether the principal points of a Reconstruction lie near the middle of their pictures."""
     return all(
-        abs(camera.principal_point_x / camera.width - 0.5) < MOST_OFF_CENTER
-        and abs(camera.principal_point_y / camera.height - 0.5) < MOST_OFF_CENTER
+        abs(camera.principal_point_x / camera.width - 0.5) < MAX_OFF_CENTER
+        and abs(camera.principal_point_y / camera.height - 0.5) < MAX_OFF_CENTER
         for camera in model.cameras.values()
     )
 

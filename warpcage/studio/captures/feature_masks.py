@@ -24,7 +24,7 @@ OTHERS = 16
 
 #: It stands still where so many of them, and so large a share, have the same at the same pixel: within so many pixels
 #: of the shrunk pictures, and with a cosine between descriptors (SIFT's, of length 1) of at least this.
-LEAST_SAME, SAME_SHARE, SAME_PLACE, SAME_COSINE = 2, 0.15, 1.0, 0.9
+MIN_SAME, SAME_SHARE, SAME_PLACE, SAME_COSINE = 2, 0.15, 1.0, 0.9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,7 +159,7 @@ def still_features(places: Sequence[np.ndarray], descriptors: Sequence[np.ndarra
             near = trees[index].sparse_distance_matrix(trees[other], SAME_PLACE, output_type="coo_matrix")
             alike = np.einsum("ij,ij->i", descriptors[index][near.row], descriptors[other][near.col]) >= SAME_COSINE
             same[np.unique(near.row[alike])] += 1
-        still[index] = same >= max(LEAST_SAME, SAME_SHARE * len(chosen))
+        still[index] = same >= max(MIN_SAME, SAME_SHARE * len(chosen))
 
     run_parallel([functools.partial(compare, index) for index in range(count)])
     return still

@@ -22,7 +22,7 @@ BLURRED = 0.6
 FEW_PICTURES, LARGE_ERROR = 30, 1.5
 
 #: Pictures on the contact sheet, and the longer side of each.
-MOST_THUMBNAILS, THUMBNAIL = 100, 160
+MAX_THUMBNAILS, THUMBNAIL = 100, 160
 
 #: Frame of a picture that has a camera, and of one that has none.
 GREEN, RED = (0.15, 0.6, 0.25), (0.85, 0.15, 0.1)
@@ -195,7 +195,7 @@ def make_report(
 
 def make_contact_sheet(thumbnails: Sequence[np.ndarray], registered: Sequence[bool]) -> np.ndarray:
     """All pictures on one sheet, (h, w, 3) float32, those with a camera in a green frame, the others in a red one.
-    thumbnails: (h, w, 3) uint8, no side longer than THUMBNAIL, at most MOST_THUMBNAILS of them."""
+    thumbnails: (h, w, 3) uint8, no side longer than THUMBNAIL, at most MAX_THUMBNAILS of them."""
     height = max(picture.shape[0] for picture in thumbnails) + 6
     width = max(picture.shape[1] for picture in thumbnails) + 6
     framed = []

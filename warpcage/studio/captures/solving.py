@@ -27,10 +27,10 @@ from ...view.camera import Camera
 from .colmap import Found, Solver, found_of
 
 #: Fewest pictures that cameras can be found of.
-LEAST_PICTURES = 3
+MIN_PICTURES = 3
 
 #: Fewest points that hold the cameras of a picture together.
-LEAST_POINTS = 10
+MIN_POINTS = 10
 
 #: How pictures are taken that can be used, for messages.
 HOW_TO = "walk around the object in small steps, so that each picture shows most of what the one before it did"
@@ -117,7 +117,7 @@ def _without_strays(solver: Solver, solution: Solution, matches: tuple) -> Solut
     """A solution without the few pictures whose matches disagree with it, or that hardly any point holds."""
     found = solution.found
     strays = {int(picture) for group in solution.agreement.groups[1:] for picture in group}
-    strays |= {int(picture) for picture in found.pictures[found.counts < LEAST_POINTS]}
+    strays |= {int(picture) for picture in found.pictures[found.counts < MIN_POINTS]}
     if not strays or len(strays) == len(found.pictures):
         return solution
     model, names = solver.colmap.Reconstruction(solution.model), {solver.names[picture] for picture in strays}
@@ -203,12 +203,7 @@ def _require_most(source: pathlib.Path, names: Sequence[str], labels: Sequence[s
             f"the pictures of {str(source)!r} fall apart into groups that share nothing ({parts}): capture them one by "
             "one, or add pictures that show both"
         )
-    if (
-        solution is None
-        or most < LEAST_PICTURES
-        or 2 * most < count
-        or len(solution.found.points) < LEAST_POINTS * most
-    ):
+    if solution is None or most < MIN_PICTURES or 2 * most < count or len(solution.found.points) < MIN_POINTS * most:
         raise InputError(
             f"cameras were found of {most} of {count} pictures of {str(source)!r}, which is too few to go by: "
             f"{HOW_TO}; keep the object still, and avoid mirrors, glass and bare walls"

@@ -25,7 +25,7 @@ COMPARED_SIZE = 640
 MOTION_SIZE = 96
 
 #: Details below this have no edges to judge: a wall, the sky, a lens that is covered. In steps of 8 bits.
-LEAST_DETAIL = 0.3
+MIN_DETAIL = 0.3
 
 
 def sharpness(grey: np.ndarray) -> float:
@@ -40,7 +40,7 @@ def sharpness(grey: np.ndarray) -> float:
     thin = once[::2, ::2]
     coarse = float(np.sqrt(np.mean((thin - _blurred(thin)) ** 2)))
     fine = float(np.sqrt(np.mean((picture - once) ** 2)))
-    return fine / coarse if coarse > LEAST_DETAIL else 0.0
+    return fine / coarse if coarse > MIN_DETAIL else 0.0
 
 
 def motion(before: np.ndarray, after: np.ndarray) -> float:
@@ -75,7 +75,7 @@ def _blurred(picture: np.ndarray) -> np.ndarray:
 
 #: A frame is taken where the view has moved at least this far since the last one, as a share of the longer side: closer
 #: ones show nothing new.
-LEAST_STEP = 0.004
+MIN_STEP = 0.004
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,7 +119,7 @@ def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
     return FrameScores(np.array(times, np.int64), np.array(scores), way, size, broken[0], transfer)
 
 
-def pick_frames(scores: FrameScores, count: int, least_step: float = LEAST_STEP) -> np.ndarray:
+def pick_frames(scores: FrameScores, count: int, least_step: float = MIN_STEP) -> np.ndarray:
     """Indices (k,) int64, ascending, of at most `count` frames that are worth their while, at least a step apart."""
     # The sharpest of each of `count` equal parts of the way, fewer where it is short, however fast the camera moves.
     length = float(scores.way[-1])

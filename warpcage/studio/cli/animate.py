@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ...cage.pose_file import USUAL_RATE, PoseFile
+from ...cage.pose_file import DEFAULT_RATE, PoseFile
 from ...core.files import check_parent, require_file
 from ...core.names import TRANSPARENT, counted
 from ...core.reports import bar
@@ -149,7 +149,7 @@ def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, give
         raise InputError("--frames is not for keys at times, the last of which ends the film: use --fps")
     args.loop = args.loop or film.loop or "once"
     if "fps" not in given:
-        args.fps = motion.frame_rate(USUAL_RATE if film.fps is None else film.fps)
+        args.fps = motion.frame_rate(DEFAULT_RATE if film.fps is None else film.fps)
     args.frames = len(motion.frame_times(film.length, args.fps, args.loop))
 
 

@@ -34,7 +34,7 @@ from .arguments import options
 DEFAULT_SIZE = (400, 400)
 
 #: An array of Warp holds as many.
-MOST_PIXELS = 2**31 - 1
+MAX_PIXELS = 2**31 - 1
 
 
 def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
@@ -42,8 +42,8 @@ def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
     if args.size is None:
         return None
     width, height = args.size.of(*DEFAULT_SIZE)
-    if width * height > MOST_PIXELS:
-        raise InputError(f"--size: {width}x{height} is too large, a picture has at most {MOST_PIXELS:,} pixels")
+    if width * height > MAX_PIXELS:
+        raise InputError(f"--size: {width}x{height} is too large, a picture has at most {MAX_PIXELS:,} pixels")
     return width, height
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...cage.pose_file import GLTF_ENDINGS, USUAL_RATE
+from ...cage.pose_file import DEFAULT_RATE, GLTF_ENDINGS
 from ...core.checks import float32_spacing
 from ...core.files import atomic_path, require_file
 from ...core.memory import require_host_memory
@@ -259,9 +259,9 @@ def _mesh_frames(
 ) -> tuple[np.ndarray | None, float]:
     """Where vertices go in each frame, (n, v, 3), one for a pose, and the rate; None where nothing is deformed."""
     if deformation is None:
-        return None, USUAL_RATE
+        return None, DEFAULT_RATE
     film, last = deformation.film, deformation.pose_count - 1.0
-    rate = USUAL_RATE if film is None or film.fps is None else film.fps
+    rate = DEFAULT_RATE if film is None or film.fps is None else film.fps
     if film is None:
         poses = [deformation.at(place) for place in np.linspace(0.0 if args.frames else last, last, args.frames or 1)]
     else:

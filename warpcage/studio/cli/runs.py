@@ -30,11 +30,11 @@ from ..jobs.run import RunProgress, RunReport, run_jobs
 from ..jobs.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, write_sweep
 from . import shared
 from .arguments import options
-from .arguments.runs import OWN, USUAL_BACKGROUNDS
+from .arguments.runs import DEFAULT_BACKGROUNDS, OWN
 from .cameras import DEFAULT_SIZE, camera_file, file_size, fitted_to, image_size, moved_to_field, sized_cameras
 
 #: Lines about items that failed; the manifest has all.
-MOST_LINES = 10
+MAX_LINES = 10
 
 
 def run_run(args: argparse.Namespace) -> int:
@@ -91,10 +91,10 @@ def _conclude(report: RunReport, output: str) -> int:
     """Say what came of a run; returns the exit status."""
     rate = f", {report.made / report.seconds:.3g} a second" if report.made and report.seconds else ""
     print(f"wrote {output}: {counted(report.made, 'item')}{rate}, {report.kept} were there already")
-    for name, line in list(report.failed.items())[:MOST_LINES]:
+    for name, line in list(report.failed.items())[:MAX_LINES]:
         print(f"warpcage: {name}: {line}", file=sys.stderr)
-    if len(report.failed) > MOST_LINES:
-        more = len(report.failed) - MOST_LINES
+    if len(report.failed) > MAX_LINES:
+        more = len(report.failed) - MAX_LINES
         print(f"warpcage: and {more} more, see {output}/manifest.jsonl", file=sys.stderr)
     if report.failed:
         print(f"warpcage: error: {counted(len(report.failed), 'item')} failed", file=sys.stderr)
@@ -218,7 +218,7 @@ def _check_words(args: argparse.Namespace) -> None:
 
 def _background(args: argparse.Namespace) -> str | list[float] | None:
     """What stands behind pictures, as items have it; None is the field's own."""
-    given = USUAL_BACKGROUNDS[args.image] if args.background is None else args.background
+    given = DEFAULT_BACKGROUNDS[args.image] if args.background is None else args.background
     known = (*BACKGROUNDS, TRANSPARENT, OWN)
     if isinstance(given, str) and given not in known:
         raise InputError(

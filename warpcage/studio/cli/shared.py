@@ -21,7 +21,7 @@ from ...core.files import PathLike, read_json, require_file
 from ...core.names import BACKGROUNDS, TRANSPARENT
 from ...deform.deformer import Deformer
 from ...deform.stage import Stage
-from ...edits.edits import MOST_CELLS, picture_cells
+from ...edits.edits import MAX_CELLS, picture_cells
 from ...edits.place import Place
 from ...edits.stage_file import STAGE_ENDING, free_name
 from ...edits.words import EditWords, held_walls
@@ -305,7 +305,7 @@ def require_deformation(args: argparse.Namespace, what: str) -> None:
 
 
 #: Points of an object that --frame posed looks at, and the share of them that lies out of the cages by chance.
-FRAMED_POINTS, LEAST_STAYING = 5000, 0.005
+FRAMED_POINTS, MIN_STAYING = 5000, 0.005
 
 
 def visible_points(field: AnyField, deformation: Deformation | None, frame: str | None) -> np.ndarray:
@@ -316,7 +316,7 @@ def visible_points(field: AnyField, deformation: Deformation | None, frame: str 
         seen = staying = object_points(field, FRAMED_POINTS)
         for edit in deformation.edits:
             staying = staying[~inside_mesh(staying, edit.cage)]
-        few = len(staying) <= LEAST_STAYING * len(seen)
+        few = len(staying) <= MIN_STAYING * len(seen)
         return deformation.vertices if few else np.concatenate([deformation.vertices, staying])
     return shown_corners(field)
 
@@ -334,7 +334,7 @@ def deformer_options(args: argparse.Namespace) -> dict[str, Any]:
 
 def lattice_cells(args: argparse.Namespace) -> int | None:
     """The lattice of --resolution, None for none; the finest usual one where `set_lattice` chose none."""
-    return MOST_CELLS if args.resolution == options.BY_SIZE else args.resolution
+    return MAX_CELLS if args.resolution == options.BY_SIZE else args.resolution
 
 
 def set_lattice(args: argparse.Namespace, camera: Camera) -> None:

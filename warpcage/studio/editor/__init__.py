@@ -15,7 +15,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "exports": ("Film export_baked export_cage export_command export_film export_poses film_pictures"),
         "inspection": "Inspector inspect inspector",
         "pictures.renderer": (
-            "COARSE_CELLS FRAME LEAST_SIDE Pace Renderer Request band_camera depth_size frame_pixels joined_pixels "
+            "COARSE_CELLS FRAME MIN_SIDE Pace Renderer Request band_camera depth_size frame_pixels joined_pixels "
             "packed_frame"
         ),
         "pictures.scene": "Fields PosedScene same_pose view_camera",

@@ -93,13 +93,13 @@ class Export:
 
 
 #: Exports that a session's file keeps, the newest.
-MOST_EXPORTS = 40
+MAX_EXPORTS = 40
 
 
 def read_exports(content: Any) -> tuple[Export, ...]:
     """The exports of a session's file, the oldest first; what is no export is left out."""
     exports = []
-    for entry in content[-MOST_EXPORTS:] if isinstance(content, list) else ():
+    for entry in content[-MAX_EXPORTS:] if isinstance(content, list) else ():
         with contextlib.suppress(*DAMAGED, ValueError):
             one = Export(**entry)
             if all(isinstance(text, str) for text in (one.name, one.text)):

@@ -28,7 +28,7 @@ from .checks import checked_between, checked_choice, checked_flag, checked_id, c
 from .commands import Step
 from .document import Document
 from .exports import requested_film
-from .session import ENDING, MOST_EXPORTS, Export, Session, Stamp, file_stamp
+from .session import ENDING, MAX_EXPORTS, Export, Session, Stamp, file_stamp
 from .steps.losses import losses
 from .things import ThingTasks, clicked
 from .work.jobs import Cancelled, Jobs, Outcome, Progress
@@ -142,7 +142,7 @@ class Tasks:
             if path.is_file():
                 self._made[path.name] = file_stamp(path)
             others = [export for export in self.session.exports if export.name != path.name]
-            self.session.exports = (*others, Export.of(path, text))[-MOST_EXPORTS:]
+            self.session.exports = (*others, Export.of(path, text))[-MAX_EXPORTS:]
         return _outcome(path, text)
 
     def note_done(self, path: pathlib.Path, text: str) -> dict[str, str | None]:

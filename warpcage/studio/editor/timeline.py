@@ -49,7 +49,7 @@ KEYS_A_SECOND = {"hand-held": 6.0, "follow": 3.0}
 FRAME_MARGIN = 1.15
 
 #: Fields of view, degrees: a smooth way may swing beyond those of its keys.
-LEAST_FOV, LARGEST_FOV = 1.0, 150.0
+MIN_FOV, LARGEST_FOV = 1.0, 150.0
 
 
 def place_files(document: Document) -> dict[int, PlaceFile]:
@@ -317,7 +317,7 @@ def view_of(key: CameraKey, middle: np.ndarray, up: Sequence[float]) -> View:
     stands = abs(given @ right) < 1e-6 and given @ upward > 1e-3
     fov = math.degrees(2.0 * math.atan(0.5 * key.camera.height / key.camera.fy))
     chosen = given if stands else upward / np.linalg.norm(upward)
-    return View(_triple(eye), _triple(target), _triple(chosen), min(max(fov, LEAST_FOV), LARGEST_FOV))
+    return View(_triple(eye), _triple(target), _triple(chosen), min(max(fov, MIN_FOV), LARGEST_FOV))
 
 
 def load_poses(document: Document, number: int, path: str) -> Document:
@@ -395,7 +395,7 @@ def _view_at(track: Sequence[tuple[Key, np.ndarray]], time: float, closed: bool)
     eye = target + math.exp(value[3]) * (_frame(np.array(first.up)) @ direction)
     length = float(np.linalg.norm(up))
     up = up / length if length > 1e-9 else np.array(held.up)  # half-way between opposite ones
-    return View(_triple(eye), _triple(target), _triple(up), min(max(fov, LEAST_FOV), LARGEST_FOV))
+    return View(_triple(eye), _triple(target), _triple(up), min(max(fov, MIN_FOV), LARGEST_FOV))
 
 
 def _frame(up: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ...cage.cage import Cage
-from ...cage.pose_file import USUAL_RATE, PoseFile, posed_cage
+from ...cage.pose_file import DEFAULT_RATE, PoseFile, posed_cage
 from ...core.checks import checked_path, checked_positive, checked_whole, require_type, shown
 from ...core.files import PathLike
 from ...core.names import MOVE_HELP, counted, require_name
@@ -325,7 +325,7 @@ class _Shot:
             raise InputError("move is for one camera, which stands still without it: leave it out, or the others")
         self._start: Any = file
         said = [each for each in (self._keys, file) if isinstance(each, PoseFile | CameraFile)]
-        self.fps = next((each.fps for each in said if each.fps is not None), USUAL_RATE) if fps is None else fps
+        self.fps = next((each.fps for each in said if each.fps is not None), DEFAULT_RATE) if fps is None else fps
         self.loop = next((each.loop for each in said if each.loop is not None), "once")
         moves = [] if move is None else camera_moves(move)
         if moves is None:

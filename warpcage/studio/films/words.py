@@ -20,8 +20,8 @@ import numpy as np
 from ...cage.axes import with_up
 from ...cage.cage import Cage
 from ...cage.pose_file import (
+    DEFAULT_RATE,
     MOVING_ENDINGS,
-    USUAL_RATE,
     PoseFile,
     are_numbered,
     cage_hash,
@@ -99,7 +99,7 @@ def read_film(
     """The keys of words of --posed that say themselves when each pose is reached; None for other words.
     up: "y" or "z", None finds it; expected: axis by ending of cage files where nothing speaks for another."""
     # A pose file with times, an animated glTF file, a folder or pattern of numbered cage files, or files so named.
-    rate = USUAL_RATE if fps is None else float(fps)
+    rate = DEFAULT_RATE if fps is None else float(fps)
     if len(texts) == 1:
         (text,) = texts
         if (named := pose_file(text)) and not named[1]:

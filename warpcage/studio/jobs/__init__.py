@@ -16,6 +16,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "engines.serving": "early_processes",
         "sweeps": "GivenSource RandomSource RandomViews write_sweep",
         "webdataset": "finish_folder pack_shard read_shard shard_holds shard_path shard_stage split_key staged_shards",
-        "worker": "CHECKPOINTS MOST_DEFORMERS PARTS Worker",
+        "worker": "CHECKPOINTS MAX_DEFORMERS PARTS Worker",
     },
 )

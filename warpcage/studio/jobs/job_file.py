@@ -357,7 +357,7 @@ def _line(entry: Mapping[str, Any]) -> str:
 
 
 #: Bytes that are hashed at once, and files whose hashes are kept.
-HASHED_AT_ONCE, MOST_FILES = 1 << 20, 200_000
+HASHED_AT_ONCE, MAX_FILES = 1 << 20, 200_000
 
 #: Bytes of a hash.
 HASH_BYTES = 16
@@ -373,7 +373,7 @@ class Fingerprints:
     def __init__(self, base: PathLike, out: PathLike | None = None):
         self.base = pathlib.Path(base)
         self._out = None if out is None else os.path.realpath(out)
-        self._hashes: LRUCache[str] = LRUCache(MOST_FILES)
+        self._hashes: LRUCache[str] = LRUCache(MAX_FILES)
         self._arrays: LRUCache[NpyFile] = LRUCache(32)
 
     def of(self, item: Item) -> str:
@@ -467,7 +467,7 @@ def _gltf_files(path: pathlib.Path) -> list[pathlib.Path]:
 
 
 #: Files that are remembered: each is looked at once, however many items name it.
-MOST_KNOWN = 100_000
+MAX_KNOWN = 100_000
 
 
 class Missing:
@@ -475,7 +475,7 @@ class Missing:
 
     def __init__(self, base: PathLike):
         self.base = base
-        self._files: LRUCache[NpyFile | str | None] = LRUCache(MOST_KNOWN)
+        self._files: LRUCache[NpyFile | str | None] = LRUCache(MAX_KNOWN)
 
     def of(self, item: Item) -> str | None:
         """One line on the first that an item names and is not there; None where all is there."""

@@ -131,7 +131,7 @@ def unpaid(workers: int, items: int, start: float, work: float, *, foreseen: boo
 
 
 #: Items that name what is not there, of which a forecast keeps a line.
-MOST_MISSING = 10
+MAX_MISSING = 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +152,7 @@ class Forecast:
     counts: dict[str, int]  # items to be made, by their kind
     measured: dict[str, Measured]  # by kind
     errors: dict[str, str]  # why an item of a kind could not be made, by its id
-    missing: dict[str, str]  # what items name and is not there, by id, of MOST_MISSING of them; the count is of all
+    missing: dict[str, str]  # what items name and is not there, by id, of MAX_MISSING of them; the count is of all
     missing_count: int
     workers: int
     seconds: float  # how long it would take, without what could not be measured
@@ -186,7 +186,7 @@ def foresee(
         errors: dict[str, str] = {}
         wrong, items = Missing(job.folder), (job.item(int(index)) for index in plan.items)
         absent = ((item.id, line) for item in items if (line := wrong.of(item)) is not None)
-        missing = dict(itertools.islice(absent, MOST_MISSING))
+        missing = dict(itertools.islice(absent, MAX_MISSING))
         missing_count = len(missing) + sum(1 for _ in absent)
         found = resolve_device(device)
         threads = max(1, cpu_threads() // workers) if found.is_cpu else cpu_threads()

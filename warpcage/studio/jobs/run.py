@@ -76,7 +76,7 @@ class RunReport:
         return not self.failed and not self.left and self.halt is None
 
 
-LEAST_AIM = 2.0  # seconds of a chunk where there are few workers, so that progress is seen
+MIN_AIM = 2.0  # seconds of a chunk where there are few workers, so that progress is seen
 WORKERS_PER_SECOND = 100  # for which a chunk takes a second more
 
 #: Items between two calls of `progress` while they are checked.
@@ -173,7 +173,7 @@ def run_jobs(
         dispatcher = None
         try:
             with journal, _engine(settings, local, workers, cluster, early) as (engine, count):
-                aim = LEAST_AIM if local else min(AIM, LEAST_AIM + count / WORKERS_PER_SECOND)
+                aim = MIN_AIM if local else min(AIM, MIN_AIM + count / WORKERS_PER_SECOND)
                 chunks = ChunkQueue(plan.items, plan.groups, plan.kinds, aim=aim, whole=shards is not None)
                 dispatcher = Dispatcher(chunks, retries=retries, shards=shards)
                 journal.failures = dispatcher.failures
@@ -258,7 +258,7 @@ def _merge(folder: OutputFolder) -> str | None:
 
 TICK = 1.0  # seconds after which the driver looks for stragglers even where nothing happened
 ANSWER = 60.0  # seconds within which a worker that is asked must answer: one that does not is taken for hung
-LEAST_LOOK = 0.5  # seconds between two looks at a worker at least
+MIN_LOOK = 0.5  # seconds between two looks at a worker at least
 GRACE = 5.0  # seconds that workers get to end the items that they have begun, when a run is interrupted
 
 
@@ -326,7 +326,7 @@ class Driver:
             self._dispatcher.returned(name, number, answer.found)
         elif answer.method == "oldest" and self._asked.pop((name, number), None) is not None:
             item, seconds = answer.found or (None, 0.0)
-            self._looks[name, number] = self._engine.now() + max((self._limit or 0.0) - seconds, LEAST_LOOK)
+            self._looks[name, number] = self._engine.now() + max((self._limit or 0.0) - seconds, MIN_LOOK)
             if self._limit is not None and seconds > self._limit:
                 self._died(name, f"its worker was ended: the item took longer than {self._limit:g} s", item)
         elif answer.method == "run":

@@ -10,11 +10,11 @@ import numpy as np
 
 from ...core.names import counted
 from ...errors import InputError
-from .engines.chunk_runner import MOST_CHUNKS, Chunk, ChunkReport
+from .engines.chunk_runner import MAX_CHUNKS, Chunk, ChunkReport
 
 AIM, LARGEST = 10.0, 256  # seconds that a chunk should take, and most items that it holds
 CHUNKS_PER_WORKER = 4  # that each should still get of what is left: they become small, and all end together
-LEAST_CHUNK = 0.5  # seconds, as far as each worker gets as much: a chunk waits until its last files are written
+MIN_CHUNK = 0.5  # seconds, as far as each worker gets as much: a chunk waits until its last files are written
 NEWEST_CHUNKS = 0.25  # weight of the newest chunk in an item's seconds, where it has as many items as those before it
 
 
@@ -136,7 +136,7 @@ class ChunkQueue:
         if seconds is None:  # the chunk ends with its time; its first item may wait long for the hash of what it loads
             return min(fair, self._largest)
         each = max(seconds, 1e-9)
-        aimed, least = int(self.aim / each), int(min(self.aim, LEAST_CHUNK) / each)
+        aimed, least = int(self.aim / each), int(min(self.aim, MIN_CHUNK) / each)
         return max(1, min(aimed, max(fair, min(least, equal)), self._largest))
 
     def _cut(self, group: int, size: int) -> list[int]:
@@ -160,9 +160,9 @@ class ChunkQueue:
 
 
 #: Deaths of a worker in a row, none of which made an item, after which its place is given up.
-MOST_BARREN = 3
+MAX_BARREN = 3
 
-LEAST_SHARED = 2.0  # a chunk is shortened for a worker with nothing to do where it would take so many more seconds
+MIN_SHARED = 2.0  # a chunk is shortened for a worker with nothing to do where it would take so many more seconds
 STRAGGLING = 2.0  # a worker that takes so many times what its chunk should have taken gives back what is not begun
 
 
@@ -237,7 +237,7 @@ class Dispatcher:
     def takes(self, name: str) -> bool:
         """Whether a worker can make the items of another chunk."""
         worker = self._workers[name]
-        return worker.chunk is None and len(worker.ending) < MOST_CHUNKS
+        return worker.chunk is None and len(worker.ending) < MAX_CHUNKS
 
     def add_worker(self, name: str) -> None:
         """A place where work can be done; its process may start later."""
@@ -315,7 +315,7 @@ class Dispatcher:
 
     def given_up(self, name: str) -> bool:
         """Whether a worker's place is not filled again, as it dies before it makes anything; it is forgotten then."""
-        if self._workers[name].consecutive_failures < MOST_BARREN:
+        if self._workers[name].consecutive_failures < MAX_BARREN:
             return False
         del self._workers[name]
         return True
@@ -334,9 +334,9 @@ class Dispatcher:
             seconds = self.chunks.seconds(chunk.group)
             passed = now - worker.began
             expected = (seconds or 0.0) * len(chunk.items)
-            if passed > STRAGGLING * max(expected, LEAST_SHARED):
+            if passed > STRAGGLING * max(expected, MIN_SHARED):
                 late.append((passed, name, chunk.number, 1.0))
-            elif expected - passed > LEAST_SHARED:
+            elif expected - passed > MIN_SHARED:
                 late.append((expected - passed, name, chunk.number, 0.5))
         late.sort(reverse=True)
         for _, name, _, _ in late[:idle]:

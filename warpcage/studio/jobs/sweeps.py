@@ -53,7 +53,7 @@ def _draw(number: int) -> np.ndarray:
 
 
 #: Highest camera of random views above the horizon, and how much farther than needed the farthest stands.
-MOST_ELEVATION, FARTHEST = 80.0, 1.3
+MAX_ELEVATION, FARTHEST = 80.0, 1.3
 
 #: Ends of the keys of streams of random numbers: those of poses have two parts, and share none with these.
 _VIEWS, _CHOICES = (0, 1), (0, 2)
@@ -142,7 +142,7 @@ class RandomViews:
         random = RandomNumbers(self.seed, (pose, *_VIEWS))
         cameras = []
         for _ in range(self.count):
-            height = random.number(0.0, math.sin(math.radians(MOST_ELEVATION)))  # even over the sphere's area
+            height = random.number(0.0, math.sin(math.radians(MAX_ELEVATION)))  # even over the sphere's area
             turn, distance = 2.0 * math.pi * random.number(), nearest * random.number(1.0, FARTHEST)
             flat = math.sqrt(1.0 - height * height)
             across = math.cos(turn) * side + math.sin(turn) * np.cross(up, side)

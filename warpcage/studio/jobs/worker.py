@@ -47,7 +47,7 @@ from .job_file import Fingerprints
 from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, write_array, write_outputs
 
 #: Most deformers that stay bound to a field.
-MOST_DEFORMERS = 4
+MAX_DEFORMERS = 4
 
 #: Parts of a frame that no picture is needed for.
 OF_RECORDS = ("pose", "record")
@@ -86,7 +86,7 @@ class Bound(HeldPose):
 
 
 #: Most fields that stay loaded, and the share of the memory that is free at first for them and what is bound to them.
-MOST_FIELDS, MEMORY_SHARE = 8, 0.5
+MAX_FIELDS, MEMORY_SHARE = 8, 0.5
 
 
 class LoadedFields:
@@ -97,7 +97,7 @@ class LoadedFields:
         self.references, self.device, self.read_count = references, device, 0
         self.dropped: Callable[[AnyField], Any] = lambda field: None  # called with a field that is let go, before it is
         limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
-        self.kept: LRUCache[AnyField] = LRUCache(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
+        self.kept: LRUCache[AnyField] = LRUCache(MAX_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
 
     def get(self, name: str, scene_scale: float) -> tuple[Hashable, AnyField]:
         """A key that is another where the file has changed, and the field; scene_scale: as `VoxelField.load` has it."""
@@ -141,7 +141,7 @@ class FrameMaker:
     def __init__(self, references: References, fields: LoadedFields, memory: int | None = None):
         self.references, self.fields, self.counts, self.cuts = references, fields, Counts(), WorkerCuts(fields.device)
         limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
-        self.kept: LRUCache[Bound] = LRUCache(MOST_DEFORMERS, limit, _bound_bytes)
+        self.kept: LRUCache[Bound] = LRUCache(MAX_DEFORMERS, limit, _bound_bytes)
         fields.dropped = self._drop_bound_to
 
     def _drop_bound_to(self, field: AnyField) -> None:

@@ -24,7 +24,7 @@ MARK = "cameras.json beside point_cloud/iteration_30000/point_cloud.ply (output 
 NAME, CAMERAS, OPTIONS, CLOUD = "3dgs", "cameras.json", "cfg_args", "point_cloud.ply"
 
 #: Bytes that cfg_args may have: they are some hundreds, and deep ones would exhaust the stack of the parser.
-MOST_OPTIONS = 1 << 14
+MAX_OPTIONS = 1 << 14
 
 #: Degrees, and shares of the cameras' extent, by which cameras.json may miss the cameras of the pictures' own scene.
 SAME_TURN, SAME_PLACE = 0.1, 1e-3
@@ -57,7 +57,7 @@ def trained_options(folder: pathlib.Path) -> dict[str, Any]:
     path = folder / OPTIONS
     if not path.is_file():
         return {}
-    if path.stat().st_size > MOST_OPTIONS:
+    if path.stat().st_size > MAX_OPTIONS:
         raise InputError(f"{path} must be of some hundred bytes, got {path.stat().st_size}")
     text = read_text(Bounds(folder).require(path, str(folder)), "file").strip()
     try:

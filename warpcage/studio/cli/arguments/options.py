@@ -80,7 +80,7 @@ def positive_fraction(text: str) -> fractions.Fraction:
 
 
 #: Moments that motion blur is the mean of, where their number is not given, and most of them.
-SUBFRAMES, MOST_SUBFRAMES = 8, 256
+SUBFRAMES, MAX_SUBFRAMES = 8, 256
 
 
 def shutter(text: str) -> tuple[float, int]:
@@ -90,9 +90,9 @@ def shutter(text: str) -> tuple[float, int]:
         angle, count = float(degrees), int(number) if separator else SUBFRAMES
     except ValueError:
         angle, count = 0.0, 0
-    if not (0.0 < angle <= 360.0 and 1 <= count <= MOST_SUBFRAMES):
+    if not (0.0 < angle <= 360.0 and 1 <= count <= MAX_SUBFRAMES):
         raise argparse.ArgumentTypeError(
-            f"must be degrees above 0 to 360, or with a number of moments up to {MOST_SUBFRAMES}, as in 180 or 180:16, "
+            f"must be degrees above 0 to 360, or with a number of moments up to {MAX_SUBFRAMES}, as in 180 or 180:16, "
             f"got {text!r}"
         )
     return angle / 360.0, count

@@ -6,7 +6,7 @@ from ....core.names import COORDINATES, FIELD_COORDINATES, TRANSPARENT
 from .options import CAGE_UP_FOUND, CAGES, COLORS, SCALE_AND_DEVICE, command, positive_float, whole_number
 
 #: What stands behind pictures where --background is not given: of PNG files, and of JPEG files, which have no opacity.
-USUAL_BACKGROUNDS = {"png": TRANSPARENT, "jpg": "white"}
+DEFAULT_BACKGROUNDS = {"png": TRANSPARENT, "jpg": "white"}
 
 #: The word of --background for that of the field.
 OWN = "own"

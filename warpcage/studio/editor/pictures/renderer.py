@@ -36,7 +36,7 @@ MOVING_SECONDS = {"cpu": 0.05, "cuda": 0.022}
 #: Cells of lattices that are tried on a CPU while the hand moves, and the least side of a picture, pixels.
 COARSE_CELLS = (16, 20, 24, 32, 48, 64, 96, 128)
 
-LEAST_SIDE = 200
+MIN_SIDE = 200
 
 #: March steps that are taken as one on a CPU while the hand moves.
 MOVING_STEP = {"cpu": 3.0, "cuda": 1.0}
@@ -101,7 +101,7 @@ class Pace:
         return self.pose_seconds(coordinates, effort.cells) + pixels * self._pixel[True]
 
     def moving(self, width: int, height: int, cells: int, coordinates: str, posing: bool) -> Effort:
-        """A picture that is there in time while the hand moves, of at most so many pixels (but LEAST_SIDE) and cells.
+        """A picture that is there in time while the hand moves, of at most so many pixels (but MIN_SIDE) and cells.
         `posing`: whether the pose changes, not the view alone."""
         budget = MOVING_SECONDS[self.kind]
         if self.kind == "cpu":
@@ -109,7 +109,7 @@ class Pace:
             cells = min(cells, good[-1] if good else COARSE_CELLS[0])
         left = budget - (self.pose_seconds(coordinates, cells) if posing and self._pose else 0.0)
         scale = math.sqrt(max(left, 0.2 * budget) / self._pixel[False] / (width * height))
-        least = min(1.0, LEAST_SIDE / max(width, height))
+        least = min(1.0, MIN_SIDE / max(width, height))
         scale = min(1.0, max(scale, least))
         if self._scale and max(scale / self._scale, self._scale / scale) < SLACK and scale < 1.0:
             scale = max(self._scale, least)  # a size that flickers disturbs more than a few pixels

@@ -23,7 +23,7 @@ from ..pictures.scene import Fields
 DEPTH = 500
 
 #: Bytes of a session's file that its steps may take beyond what it holds, about: each change writes it anew.
-MOST_BYTES = 4_000_000
+MAX_BYTES = 4_000_000
 
 #: A step: its name, and the document on its other side.
 Step = tuple[str, Document]
@@ -181,7 +181,7 @@ class _Pool:
             count, files = len(self.parts), {thing.file or "" for thing in document.things}
             made = [label, self._document(document)]
             self._size += len(json.dumps(made))
-            if self._size > MOST_BYTES:
+            if self._size > MAX_BYTES:
                 del self.parts[count:]
                 break
             kept.append(made)

@@ -13,7 +13,7 @@ from ..session import Session
 _log = logging.getLogger(__name__)
 
 #: The shortest time between two pictures of a film that plays, and the longest that one is waited for, seconds.
-LEAST_SECONDS, MOST_SECONDS = 1.0 / 240.0, 1.0
+MIN_SECONDS, MAX_SECONDS = 1.0 / 240.0, 1.0
 
 
 class Player:
@@ -70,5 +70,5 @@ class Player:
             if film.length <= 0.0 or (film.loop == "once" and elapsed >= film.length):
                 return
             with contextlib.suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(self._shown.wait(), MOST_SECONDS)
-            await asyncio.sleep(LEAST_SECONDS)
+                await asyncio.wait_for(self._shown.wait(), MAX_SECONDS)
+            await asyncio.sleep(MIN_SECONDS)

@@ -45,11 +45,11 @@ BAD_INPUT = (
 
 
 #: Chunks of a worker: one of which it makes items, the others while their last files are being written.
-MOST_CHUNKS = 2
+MAX_CHUNKS = 2
 
 #: Calls that a worker answers at once: one a chunk, one that tells when all items are begun, and one that shortens a
 #: chunk or tells of items.
-MOST_CALLS = MOST_CHUNKS + 2
+MAX_CALLS = MAX_CHUNKS + 2
 
 
 class Maker(Protocol):

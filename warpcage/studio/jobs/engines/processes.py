@@ -24,7 +24,7 @@ from ....core.devices import start_warp
 from ....core.names import error_line
 from ....core.threads import cpu_threads
 from ....errors import InputError, MissingPackageError, StateError
-from .chunk_runner import MOST_CALLS, MOST_CHUNKS, Chunk, ChunkRunner, RunnerSettings, make_runner
+from .chunk_runner import MAX_CALLS, MAX_CHUNKS, Chunk, ChunkRunner, RunnerSettings, make_runner
 from .serving import Started, early_environment, gpu_of, message, taken_early
 
 
@@ -309,7 +309,7 @@ class RayHost:
         self._actor = ray.remote(ChunkActor).options(
             num_gpus=self.share.gpus,
             num_cpus=self.share.cpus,
-            max_concurrency=MOST_CALLS,
+            max_concurrency=MAX_CALLS,
             max_restarts=0,
             scheduling_strategy="SPREAD",
         )
@@ -334,7 +334,7 @@ class RayHost:
 
 #: Workers up to which a driver is told when the items of a chunk are begun, so that another one can be under way while
 #: files are written. Chunks of more workers take so long that this gains nothing, and costs the driver a message each.
-MOST_OVERLAPPING = 64
+MAX_OVERLAPPING = 64
 
 
 Process = LocalProcess | RayProcess
@@ -356,7 +356,7 @@ class ProcessEngine:
     def __init__(self, host: LocalHost | RayHost, settings: RunnerSettings):
         self._host = host
         self.settings = dataclasses.replace(settings, device=host.share.device, threads=host.share.threads)
-        self.overlapping = host.share.workers <= MOST_OVERLAPPING
+        self.overlapping = host.share.workers <= MAX_OVERLAPPING
         self._answers: queue.SimpleQueue[tuple[str, Process, str, int, Future[Any]]] = queue.SimpleQueue()
         self._processes: dict[str, Process] = {}
         self.places: dict[str, dict[str, Any]] = {}  # pid and host of each that has started
@@ -432,7 +432,7 @@ class LocalEngine:
     def __init__(self, runner: ChunkRunner):
         self._runner = runner
         self._given: tuple[str, Chunk] | None = None
-        self._settling = ThreadPoolExecutor(MOST_CHUNKS, "warpcage-settling")
+        self._settling = ThreadPoolExecutor(MAX_CHUNKS, "warpcage-settling")
         self._told: queue.SimpleQueue[tuple[str, str, int, Future[Any]]] = queue.SimpleQueue()
         self._ending = 0
 

@@ -120,9 +120,9 @@ def serve(loads: bool, device: str | None) -> None:
     if settings is None:
         return
     from ....core.names import error_line
-    from .chunk_runner import MOST_CALLS, make_runner
+    from .chunk_runner import MAX_CALLS, make_runner
 
-    pool = ThreadPoolExecutor(MOST_CALLS + 1, "warpcage-calls")
+    pool = ThreadPoolExecutor(MAX_CALLS + 1, "warpcage-calls")
     runner = pool.submit(lambda: make_runner(pickle.loads(settings)))
 
     def answer(number: int, method: str, given: tuple[Any, ...]) -> None:
