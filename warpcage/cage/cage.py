@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import PointsLike
 from ..core.checks import device_by_name, renamed, warn_caller
 from ..core.files import PathLike
-from ..core.reports import Progress, hears
+from ..core.reports import Progress, reports_progress
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..mesh.io import write_mesh
@@ -264,7 +264,7 @@ class Cage(PosableMesh):
     # -- Generation
 
     @classmethod
-    @hears
+    @reports_progress
     def from_mesh(
         cls,
         mesh: TriangleMesh,
@@ -302,7 +302,7 @@ class Cage(PosableMesh):
         return cls(*cage_around_mesh(mesh, vertex_count, margin=margin, method=method, symmetry=symmetry))
 
     @classmethod
-    @hears
+    @reports_progress
     def from_field(
         cls,
         field: VoxelField | NodeSelection | SplatField,

@@ -28,7 +28,7 @@ from ..core.checks import device_by_name
 from ..core.devices import launch
 from ..core.memory import require_memory
 from ..core.names import OUTSIDE, POINT_COORDINATES, agreed, chosen, require_name
-from ..core.reports import Progress, hears
+from ..core.reports import Progress, reports_progress
 from ..errors import InputError
 from ..kernels.coordinates import green, local_points, mean_value
 from ..kernels.lattice import cage_map
@@ -414,7 +414,7 @@ def green_coordinates(
 
 @points_in_turn
 @device_by_name
-@hears
+@reports_progress
 def harmonic_coordinates(
     points: PointsLike,
     cage: ClosedMesh,

@@ -105,7 +105,7 @@ def _load(module: wp.Module, device: wp.Device, block_dim: int | None) -> None:
 
 def _tell(modules: Sequence[wp.Module], device: wp.Device, block_dim: int | None = None) -> None:
     """Say that modules are about to be compiled, if some of them are not in the cache; block_dim: None is their own."""
-    if reports.say is None and not reports.is_heard() and not _log.isEnabledFor(logging.INFO):
+    if reports.say is None and not reports.is_progress_requested() and not _log.isEnabledFor(logging.INFO):
         return
     threads = [1 if device.is_cpu else block_dim or module.options["block_dim"] for module in modules]
     new = [
@@ -113,7 +113,7 @@ def _tell(modules: Sequence[wp.Module], device: wp.Device, block_dim: int | None
     ]
     if new:
         reports.told()
-        reports.tell(0, len(new), "compile kernels")
+        reports.report_progress(0, len(new), "compile kernels")
     _log.info("%s on %s: %s", "compiles kernels" if new else "loads kernels", device, ", ".join(new or _names(modules)))
 
 

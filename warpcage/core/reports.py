@@ -32,9 +32,9 @@ class _Ended(BaseException):
 
 
 @contextlib.contextmanager
-def heard(progress: bool | Progress | None) -> Iterator[None]:
-    """Let a caller hear of the work in a block: True shows bars on stderr, a function is told.
-    False and None change nothing: where the work is a part of other work, who hears of that hears of it too."""
+def progress_scope(progress: bool | Progress | None) -> Iterator[None]:
+    """Report the progress of a block: True shows bars on stderr, a function is called with it.
+    False and None change nothing: a block within another one reports to the listener of that."""
     if progress is None or progress is False:
         yield
         return
@@ -58,26 +58,26 @@ def heard(progress: bool | Progress | None) -> Iterator[None]:
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
 
-def hears(function: Decorated) -> Decorated:
-    """Decorates a function that takes `progress` by its name: who is given so hears of its work; see `heard`."""
+def reports_progress(function: Decorated) -> Decorated:
+    """Decorator of a function with an argument `progress`, whose calls are each a `progress_scope` of it."""
     default = inspect.signature(function).parameters["progress"].default
 
     @functools.wraps(function)
-    def hearing(*values: Any, **options: Any) -> Any:
-        with heard(options.get("progress", default)):
+    def reporting(*values: Any, **options: Any) -> Any:
+        with progress_scope(options.get("progress", default)):
             return function(*values, **options)
 
-    return hearing  # pyright: ignore[reportReturnType]
+    return reporting  # pyright: ignore[reportReturnType]
 
 
-def is_heard() -> bool:
-    """Whether anybody hears of the work."""
+def is_progress_requested() -> bool:
+    """Whether there is a listener, for work that is done for reports alone."""
     return _listener.get() is not None
 
 
-def tell(done: int, total: int, words: str) -> None:
-    """Say how far work is, `total` 0 where that is not known; raises Cancelled where it is not to go on.
-    Words that change while it goes on stand behind a colon: "fit: 31.20 dB"."""
+def report_progress(done: int, total: int, message: str) -> None:
+    """Report how far work is, `total` 0 where that is not known; raises Cancelled where the listener returned False.
+    What changes during the work stands behind a colon: "fit: 31.20 dB"."""
     listener = _listener.get()
     if listener is None:
         return
@@ -85,9 +85,9 @@ def tell(done: int, total: int, words: str) -> None:
 
     token = _listener.set(None)  # what the caller does meanwhile is not part of the work
     try:
-        answer = listener(done, total, words)
+        answer = listener(done, total, message)
         if isinstance(answer, bool | np.bool_) and not answer:  # a comparison of NumPy's numbers is no bool
-            raise Cancelled(f"{words.partition(':')[0]} was cancelled, {done}{f' of {total}' if total else ''} done")
+            raise Cancelled(f"{message.partition(':')[0]} was cancelled, {done}{f' of {total}' if total else ''} done")
     except Exception as error:
         raise _Ended(error) from None
     finally:

@@ -13,7 +13,7 @@ from ..core.checks import checked_bounds, checked_whole, require_type
 from ..core.devices import launch
 from ..core.memory import require_memory
 from ..core.names import chosen
-from ..core.reports import Progress, hears, tell
+from ..core.reports import Progress, report_progress, reports_progress
 from ..errors import InputError
 from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
@@ -38,7 +38,7 @@ def bake(deformer: SplatDeformer, *, progress: bool | Progress = ...) -> SplatFi
 def bake(
     deformer: Deformer, resolution: int | None = ..., bounds: ArrayLike | None = ..., *, progress: bool | Progress = ...
 ) -> VoxelField: ...
-@hears
+@reports_progress
 def bake(
     deformer: Deformer,
     resolution: int | None = None,
@@ -87,7 +87,7 @@ def bake(
 
 def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None) -> VoxelField:
     """`bake`, while the pose stays."""
-    tell(0, 3, "bake: the pose")
+    report_progress(0, 3, "bake: the pose")
     edits, field, device = lattice_edits(deformer), deformer.field, deformer.device
     searched = deformer.reached_bounds if bounds is None else checked_bounds(bounds)
     side = float(field.voxel_size.min())
@@ -98,7 +98,7 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
     need = f"looking through {' x '.join(map(str, shape))} voxels needs {{size}}: give a lower resolution or bounds"
     require_memory(NODE_BYTES * int(np.prod(shape, dtype=np.int64)), device, need)
 
-    tell(1, 3, "bake: search")
+    report_progress(1, 3, "bake: search")
     spacing = wp.vec3(side, side, side)
     lower = searched[0] + 0.5 * side  # of the first voxel's centre
     mask = empty_array(tuple(int(n) for n in shape), wp.uint8, device)
@@ -109,7 +109,7 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
     mask = wp.array(np.ascontiguousarray(filled[tuple(map(slice, begin, end))]), dtype=wp.uint8, device=device)
     lower = lower + begin * side
 
-    tell(2, 3, "bake: voxels")
+    report_progress(2, 3, "bake: voxels")
     links, nodes = link_mask(mask)
     require_memory(VOXEL_BYTES * nodes.size, device, f"{nodes.size} voxels need {{size}}: give a lower resolution")
     density = empty_array(nodes.size, wp.float32, device)
@@ -124,7 +124,7 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
         chosen(deformer.density, "density", opacity=1, paper=0),
     ]
     launch(bake_nodes, nodes.size, inputs, [density, sh], device=device)
-    tell(3, 3, "bake: done")
+    report_progress(3, 3, "bake: done")
     corner = lower - 0.5 * side
     return VoxelField(
         [corner, corner + side * np.array(mask.shape)], links, density, sh, device=device, **field.view_options()

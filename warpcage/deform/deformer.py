@@ -19,7 +19,7 @@ from ..core.checks import checked_path, checked_whole, require_type
 from ..core.devices import HeldOnDevice, resolve_device
 from ..core.locks import owner_lock
 from ..core.names import FIELD_COORDINATES, Coordinates, Density, SplatMap, Store
-from ..core.reports import Progress, hears
+from ..core.reports import Progress, reports_progress
 from ..edits.edits import checked_edits
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
@@ -122,7 +122,7 @@ class Deformer(HeldOnDevice):
         known = Deformer._kinds.items() if cls is Deformer else ()
         return object.__new__(next((kind for of, kind in known if isinstance(field, of)), cls))
 
-    @hears
+    @reports_progress
     def __init__(
         self,
         field: Deformable,

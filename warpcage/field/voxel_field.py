@@ -24,7 +24,7 @@ from ..core.checks import (
 )
 from ..core.devices import HeldOnDevice, launch, resolve_device
 from ..core.locks import device_turn, in_turn
-from ..core.reports import Progress, hears, tell
+from ..core.reports import Progress, report_progress, reports_progress
 from ..errors import InputError
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.camera import Camera, camera_struct, rigid_motion
@@ -400,7 +400,7 @@ class VoxelField(HeldOnDevice):
         save_field(self._contents(), path, format=format)
 
     @classmethod
-    @hears
+    @reports_progress
     def load(
         cls,
         path: str | os.PathLike[str],
@@ -426,14 +426,14 @@ class VoxelField(HeldOnDevice):
             ValueError: For a file of neither format, or whose parts do not fit.
             Cancelled: Where `progress` returned False.
         """
-        tell(0, 2, "field: its file")
+        report_progress(0, 2, "field: its file")
         held = load_field(path, scene_scale=scene_scale)
-        tell(1, 2, "field: its tables")
+        report_progress(1, 2, "field: its tables")
         try:
             field = cls.from_contents(held, device=device)
         except ValueError as error:
             raise InputError(f"{path}: {error}") from error
-        tell(2, 2, "field: its tables")
+        report_progress(2, 2, "field: its tables")
         return field
 
     @classmethod

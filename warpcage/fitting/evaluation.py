@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import real_array, require_type, warn_caller
-from ..core.reports import Progress, hears, tell
+from ..core.reports import Progress, report_progress, reports_progress
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..render.belonging import SceneViews, likeness
@@ -131,7 +131,7 @@ def masked_psnr(image: ArrayLike, reference: ArrayLike, mask: ArrayLike, *, weig
     return psnr(np.asarray(image)[inside], np.asarray(reference)[inside], weights=weights)
 
 
-@hears
+@reports_progress
 def evaluate(
     renderer: Renderer,
     scene: Scene,
@@ -184,7 +184,7 @@ def warn_of_mismatch(renderer: Renderer, scene: Scene) -> None:
         )
 
 
-@hears
+@reports_progress
 def view_figures(
     renderer: Renderer,
     scene: Scene,
@@ -201,7 +201,7 @@ def view_figures(
     rows = []
     background, images = comparison(renderer, scene)
     for index in range(len(scene)):
-        tell(index, len(scene), "evaluate")
+        report_progress(index, len(scene), "evaluate")
         parts = (None if each is None else scene.cut(index, each[index]) for each in (scene.alphas, scene.weights))
         alpha, weights = parts
         if weights is not None and not weights.any():
@@ -215,7 +215,7 @@ def view_figures(
         if shown is not None and (shown > OPAQUE).any():
             row["masked_psnr"] = masked_psnr(rgb, image, shown, weights=weights)
         rows.append(row)
-    tell(len(scene), len(scene), "evaluate")
+    report_progress(len(scene), len(scene), "evaluate")
     if not rows:
         raise InputError("no pixel of these views counts: all weights are 0, there is nothing to compare")
     return rows

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from ..core.checks import checked_path, require_type, warn_caller
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
-from ..core.reports import Progress, heard, hears, is_heard, span_text, tell
+from ..core.reports import Progress, is_progress_requested, progress_scope, report_progress, reports_progress, span_text
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..scene.box_picture import box_text, draw_box
@@ -65,7 +65,7 @@ def fit(scene: Scene, *, representation: Literal["voxels"] = "voxels", **options
 def fit(scene: Scene, *, representation: Literal["splats"], **options: Unpack[SplatFitNames]) -> SplatField: ...
 
 
-@hears
+@reports_progress
 def fit(
     scene: Scene,
     *,
@@ -149,7 +149,7 @@ def fit(
     pace = optimizer.pace() if isinstance(optimizer, FieldOptimizer) else None
     with contextlib.nullcontext() if goes_on else _beside(functools.partial(camera_doubt, scene)) as looking:
         while optimizer.step_count < optimizer.total_steps:
-            tell(optimizer.step_count, optimizer.total_steps, words)
+            report_progress(optimizer.step_count, optimizer.total_steps, words)
             if looking is not None and looking.done():
                 _warn_of(looking)
                 looking = None
@@ -160,7 +160,7 @@ def fit(
             if not looked and isinstance(optimizer, FieldOptimizer) and optimizer.camera_errors is not None:
                 looked = True
                 _say(str(optimizer.camera_errors), progress)
-            if is_heard() and time.monotonic() - shown > SHOWN_EVERY:
+            if is_progress_requested() and time.monotonic() - shown > SHOWN_EVERY:
                 shown = time.monotonic()
                 words = f"fit: {optimizer.measure_psnr():.2f} dB, {optimizer.size_text}"
                 if pace is not None and pace.is_known:
@@ -173,17 +173,17 @@ def fit(
                 with turn:
                     _write_preview(picture, optimizer.field, scene)
                 pictured = time.monotonic()
-        tell(optimizer.step_count, optimizer.total_steps, words)
+        report_progress(optimizer.step_count, optimizer.total_steps, words)
         optimizer.measure_psnr()
         if optimizer.coarser:
             _say(optimizer.coarser, progress)
         if looking is not None:
             _warn_of(looking)
     field = optimizer.finish()
-    if is_heard():
+    if is_progress_requested():
         cameras = optimizer.cameras if isinstance(optimizer, FieldOptimizer) else scene.cameras
         decibels = _last_psnr(field, dataclasses.replace(scene, cameras=cameras))
-        tell(optimizer.step_count, optimizer.total_steps, f"fit: {decibels:.2f} dB, {optimizer.size_text}")
+        report_progress(optimizer.step_count, optimizer.total_steps, f"fit: {decibels:.2f} dB, {optimizer.size_text}")
     if held is not None:
         held.unlink(missing_ok=True)
     if picture is not None:
@@ -198,7 +198,7 @@ def _beside(look: Callable[[], str | None]) -> Iterator[Future[str | None]]:
     ended = threading.Event()
 
     def heed() -> str | None:
-        with heard(lambda *_: not ended.is_set()):
+        with progress_scope(lambda *_: not ended.is_set()):
             return look()
 
     with ThreadPoolExecutor(1, "warpcage-cameras") as pool:

@@ -12,7 +12,7 @@ from ..core.arrays import empty_array
 from ..core.checks import warn_caller
 from ..core.devices import lane_count, launch, launch_off_tape
 from ..core.modules import load_modules, require_loaded
-from ..core.reports import tell
+from ..core.reports import report_progress
 from ..errors import InputError
 from ..kernels.lattice import harmonic as harmonic_kernels
 from ..kernels.lattice import harmonic_coarse
@@ -128,7 +128,7 @@ class HarmonicSolver(MapSolver):
         selected = empty_array(count, wp.vec3, self.device)
         cycles, residual = 0, 0.0
         for column in range(0, count, 3):
-            tell(column, count, "harmonic weights")
+            report_progress(column, count, "harmonic weights")
             self._launch(select_vertices, count, [column, selected])
             self.solve_inside(selected)
             cycles, residual = max(cycles, self.cycles), max(residual, self.residual)

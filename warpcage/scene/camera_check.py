@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ..core.names import counted
-from ..core.reports import tell
+from ..core.reports import report_progress
 from ..core.threads import cpu_threads
 from ..view.camera import Camera
 from ..view.pictures import shrink
@@ -208,7 +208,7 @@ def matched_agreement(scene: Scene, numbers: Sequence[int]) -> Agreement | None:
         try:
             for each in pool.map(lambda number: _features(scene, number), numbers):
                 features.append(each)
-                tell(len(features), len(numbers), WORDS)
+                report_progress(len(features), len(numbers), WORDS)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
@@ -292,14 +292,14 @@ def _verified(slopes: list[np.ndarray], descriptors: list[np.ndarray], focals: n
     count = len(slopes)
     alike = np.zeros((count, count), np.int64)
     for b in range(count):
-        tell(b, count, WORDS)
+        report_progress(b, count, WORDS)
         for a in range(b):
             alike[a, b] = alike[b, a] = len(_matches(descriptors[a][:FEW], descriptors[b][:FEW]))
     best = np.argsort(-alike, axis=1, kind="stable")[:, :MAX_ALIKE]
     chosen = {(min(a, int(b)), max(a, int(b))) for a in range(count) for b in best[a] if a != b}
     random, found = np.random.default_rng(0), {}
     for number, (a, b) in enumerate(sorted(chosen)):
-        tell(number, len(chosen), WORDS)
+        report_progress(number, len(chosen), WORDS)
         rows = _matches(descriptors[a], descriptors[b])
         if len(rows) >= MIN_MATCHES:
             limit = PIXELS * 0.5 * (1.0 / focals[a] + 1.0 / focals[b])

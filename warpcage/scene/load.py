@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_path, listed
 from ..core.files import seen_note
-from ..core.reports import Progress, hears
+from ..core.reports import Progress, reports_progress
 from ..errors import InputError, MissingFileError
 from ..view.camera import CameraFile, rigid_motion
 from ..view.frame import parse_background
@@ -20,7 +20,7 @@ from .parsing import PICTURE_ENDINGS
 from .scene import Scene, rotation_to
 
 
-@hears
+@reports_progress
 def load_scene(
     path: str | os.PathLike[str],
     *,

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.checks import warn_caller
 from ..core.memory import free_host_bytes
-from ..core.reports import tell
+from ..core.reports import report_progress
 from ..errors import InputError, MissingFileError
 from ..view.camera import Camera
 from ..view.pictures import Rows, read_rows, shrink, shrink_weights, shrunk_size
@@ -228,7 +228,7 @@ def make_scene(
     with ThreadPoolExecutor(workers) as pool:
         try:
             for index, _ in enumerate(pool.map(load, groups.values())):
-                tell(index + 1, len(groups), "read pictures")
+                report_progress(index + 1, len(groups), "read pictures")
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

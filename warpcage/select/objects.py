@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds, checked_number, checked_vector, require_type, shown
 from ..core.names import PLANES, require_name
-from ..core.reports import Progress, hears, tell
+from ..core.reports import Progress, report_progress, reports_progress
 from ..errors import InputError
 from ..field.surface import DensityField, node_grid, surface_density
 from ..field.surroundings import OuterField
@@ -229,7 +229,7 @@ STEPS = 4
 PLANE_WORDS = {"ground": "ground plane", "wall": "wall", "any": "plane"}
 
 
-@hears
+@reports_progress
 def select_object(
     field: DensityField,
     *,
@@ -312,7 +312,7 @@ def select_object(
     given = {name: value for name, value in all_of.items() if value is not None}
 
     def choose(seen: DensityField) -> NodeSelection:
-        tell(0, STEPS, "object: what is in the region")
+        report_progress(0, STEPS, "object: what is in the region")
         chosen = _object_in(select_nodes(seen, **given), clicks, plane, plane_at, up, clearance)
         if parts is None and floaters == 0.0:
             return chosen
@@ -330,13 +330,13 @@ def _held(values: Any) -> Any:
 def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: float | None) -> NodeSelection:
     """The object in what is visible of a region of a field, by clicks (k, 3) or all of it, above its plane."""
     field = region.field
-    tell(1, STEPS, "object: what is dense")
+    report_progress(1, STEPS, "object: what is dense")
     matter = _Matter(region)
     if clicks is not None:
         matter.connected(matter.above(None), clicks)
     notes = list(region.notes)
     floor = None
-    tell(2, STEPS, "object: what it stands on")
+    report_progress(2, STEPS, "object: what it stands on")
     if plane is not None:
         base = plane if isinstance(plane, Plane) else _support(field, matter, clicks, plane, plane_at, up)
         above = base.clearance(field.voxel_size) if clearance is None else clearance
@@ -351,7 +351,7 @@ def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: fl
             f"{(base.normal * base.offset).round(4).tolist()}, normal {base.normal.round(3).tolist()}"
             + (f", {100 * base.share:.0f} % of the surface" if len(base.points) else "")
         )
-    tell(3, STEPS, "object: what is connected")
+    report_progress(3, STEPS, "object: what is connected")
     mask = matter.above(floor)
     if clicks is not None:
         mask = matter.connected(mask, clicks)
@@ -360,7 +360,7 @@ def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: fl
         raise InputError(f"nothing is selected: nothing dense enough for a surface is left{where}")
     notes += _cut_off(field, mask)
     mask = matter.with_fringe(mask, floor)
-    tell(STEPS, STEPS, "object: its fringe")
+    report_progress(STEPS, STEPS, "object: its fringe")
     return NodeSelection(region.field, mask, tuple(notes), floor)
 
 

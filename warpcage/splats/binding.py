@@ -14,7 +14,7 @@ from ..core.arrays import empty_array
 from ..core.devices import HeldOnDevice, launch
 from ..core.memory import require_memory
 from ..core.names import chosen
-from ..core.reports import tell
+from ..core.reports import report_progress
 from ..kernels.splats import bind, lattice_rows, pose
 from ..kernels.splats.packed_rows import PackedRows, carry_packed, pack_rows
 from ..lattice.harmonic import HarmonicSolver
@@ -164,7 +164,7 @@ class CageBinding(HeldOnDevice):
         scratch = _columns(corners, max(chunk, 1), wp.vec4d, device)
         kernel = chosen(coordinates, "coordinates", mean_value=bind.bind_mean_value, green=bind.bind_green)
         for begin in range(0, count, CHUNK):
-            tell(begin, count, "bind splats")
+            report_progress(begin, count, "bind splats")
             items = min(CHUNK, count - begin)
             into = rows if pack else rows[:, begin : begin + items]
             inputs = [local[begin : begin + items], vertices, faces, scratch]

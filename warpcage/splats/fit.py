@@ -23,7 +23,7 @@ from ..core.checks import (
 )
 from ..core.devices import launch
 from ..core.locks import device_turn
-from ..core.reports import Progress, hears, is_heard, tell
+from ..core.reports import Progress, is_progress_requested, report_progress, reports_progress
 from ..errors import InputError
 from ..kernels.splats import composite, composite_cpu, fit, project_slopes, tiles
 from ..kernels.splats.composite import SUMS
@@ -250,7 +250,7 @@ class SplatRates:
             raise InputError(f"the share last of the rates must be above 0 and at most 1, got {self.last!r}")
 
 
-@hears
+@reports_progress
 def fit_splats(
     field: SplatField,
     cameras: Sequence[Camera],
@@ -329,11 +329,11 @@ def fit_splats(
     )
     words = "fit splats"
     for step in range(steps):
-        tell(step, steps, words)
+        report_progress(step, steps, words)
         optimizer.step()
-        if is_heard() and step % SHOWN_EVERY == 0:
+        if is_progress_requested() and step % SHOWN_EVERY == 0:
             words = f"fit splats: {-10.0 * np.log10(max(optimizer.mean_error(), 1e-20)):.2f} dB"
-    tell(steps, steps, words)
+    report_progress(steps, steps, words)
     try:
         return optimizer.to_field()
     except ValueError as error:

@@ -19,7 +19,7 @@ from ..core.devices import HeldOnDevice, resolve_device
 from ..core.files import PathLike, begins_as_archive, kind_seen, require_file
 from ..core.locks import in_turn
 from ..core.names import counted
-from ..core.reports import Progress, hears, tell
+from ..core.reports import Progress, report_progress, reports_progress
 from ..errors import InputError
 from ..field.io import load_field as load_voxels
 from ..field.io.field_file import Y0, FieldContents
@@ -117,7 +117,7 @@ class SplatField(HeldOnDevice):
         self._density: SplatDensity | None = None
 
     @classmethod
-    @hears
+    @reports_progress
     def load(
         cls,
         path: str | os.PathLike[str],
@@ -151,11 +151,11 @@ class SplatField(HeldOnDevice):
         """
         if activated is not None:
             checked_flag(activated, "activated")
-        tell(0, 2, "splats: their file")
+        report_progress(0, 2, "splats: their file")
         contents = read_splats(path, activated=activated)
-        tell(1, 2, "splats: their tables")
+        report_progress(1, 2, "splats: their tables")
         field = cls.from_contents(contents, device=device, **own_background(path))
-        tell(2, 2, "splats: their tables")
+        report_progress(2, 2, "splats: their tables")
         return field
 
     @classmethod

@@ -18,7 +18,7 @@ from ..core.checks import Cuts, checked_positive, checked_whole
 from ..core.files import atomic_path, read_npz, require_numbers
 from ..core.memory import require_host_memory
 from ..core.overlap import stream
-from ..core.reports import Progress, hears, tell
+from ..core.reports import Progress, report_progress, reports_progress
 from ..errors import InputError
 from .motion import frame_rate
 from .opacity import with_spread_colors
@@ -69,7 +69,7 @@ def require_clear_film(path: str | os.PathLike[str]) -> None:
         )
 
 
-@hears
+@reports_progress
 def write_film(
     path: str | os.PathLike[str],
     frames: Iterable[ArrayLike],
@@ -158,7 +158,7 @@ def _own(frames: Iterable[ArrayLike]) -> Iterator[np.ndarray]:
     """The frames as arrays that stay as they are while the next ones are made: copies of those that can be written."""
     total = len(frames) if isinstance(frames, Sized) else 0
     for index, frame in enumerate(frames, 1):
-        tell(index, total, "film")
+        report_progress(index, total, "film")
         pixels = np.asarray(frame)
         yield pixels.copy() if pixels.flags.writeable else pixels
 

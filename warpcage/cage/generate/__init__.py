@@ -7,7 +7,7 @@ import logging
 import numpy as np
 
 from ...core.checks import checked_margin
-from ...core.reports import tell
+from ...core.reports import report_progress
 from ...errors import InputError
 from ...field.surface import require_field
 from ...mesh.mesh import ClosedMesh
@@ -195,7 +195,7 @@ def _cage_around_points(
     found, reasons = [], []
     for name, make in makers.items():
         _log.info("%s: %d points, to be enclosed by %d vertices", name, len(points), vertex_count)
-        tell(len(found), len(makers), f"cage: {name}")
+        report_progress(len(found), len(makers), f"cage: {name}")
         try:
             cage = make(points, spacing, slack, margin, vertex_count, symmetry)
         except ValueError as error:

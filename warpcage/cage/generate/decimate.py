@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from ...core.devices import launch
-from ...core.reports import tell
+from ...core.reports import report_progress
 from ...kernels.mesh.collapses import measure_collapses
 
 
@@ -41,7 +41,7 @@ def progressive_hull(vertices, faces, vertex_count: int) -> tuple[np.ndarray, np
     side = np.sqrt(2.0 * area / (np.sqrt(3.0) * vertex_count))
     first = len(vertices)
     while len(vertices) > vertex_count:
-        tell(first - len(vertices), first - vertex_count, "cage: decimate")
+        report_progress(first - len(vertices), first - vertex_count, "cage: decimate")
         edges, places, costs = _collapses(vertices, faces, side)
         if not len(edges):
             break

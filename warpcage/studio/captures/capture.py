@@ -18,7 +18,7 @@ import numpy as np
 from ...core.checks import checked_flag, checked_path, checked_whole, listed
 from ...core.files import atomic_path, check_parent
 from ...core.names import agreed, counted
-from ...core.reports import Progress, heard
+from ...core.reports import Progress, progress_scope
 from ...errors import InputError, MissingFileError
 from ...scene.box_picture import box_text, draw_box
 from ...scene.coverage import draw_coverage, find_coverage
@@ -180,7 +180,7 @@ def capture(
         "seed": seed,
         "pycolmap": importlib.metadata.version("pycolmap"),
     }
-    with heard(None if isinstance(progress, bool) else progress), WorkFolder(output, job) as work:
+    with progress_scope(None if isinstance(progress, bool) else progress), WorkFolder(output, job) as work:
         given = _Given(source, output, work, chosen, masked, turntable, frames, feature_size, seed, progress is True)
         return _capture(given)
 

@@ -550,7 +550,7 @@ class Solver:
             thread.start()
             while not ended.wait(0.1):
                 if self._shown is not None:
-                    self._shown.tell()
+                    self._shown.report()
         except BaseException:
             cancel()
             if thread.ident is not None:  # it was started

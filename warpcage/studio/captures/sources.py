@@ -181,7 +181,7 @@ class StepBar:
         self.done = done
 
     def __enter__(self) -> StepBar:
-        self.tell()
+        self.report()
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -191,8 +191,8 @@ class StepBar:
         """Move it on. Only the thread that called warpcage tells, and ends the work by that."""
         self.done += count
         self._bar.update(count)
-        self.tell()
+        self.report()
 
-    def tell(self) -> None:
+    def report(self) -> None:
         """Tell once more how far the step is."""
-        reports.tell(min(self.done, self._total) if self._total else self.done, self._total, self._step)
+        reports.report_progress(min(self.done, self._total) if self._total else self.done, self._total, self._step)

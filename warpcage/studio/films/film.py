@@ -21,7 +21,7 @@ from ...core.checks import checked_path, checked_positive, checked_whole, requir
 from ...core.files import PathLike
 from ...core.names import MOVE_HELP, counted, require_name
 from ...core.overlap import BackgroundWriter
-from ...core.reports import Progress, hears, tell
+from ...core.reports import Progress, report_progress, reports_progress
 from ...deform.deformer import Deformer
 from ...deform.poses import PoseLike
 from ...deform.stage import Stage
@@ -199,7 +199,7 @@ class Film:
 DEFAULT_SIZE, DEFAULT_FRAMES = (400, 400), 48
 
 
-@hears
+@reports_progress
 def render_film(
     scene: VoxelField | SplatField | Deformer | Stage,
     path: PathLike,
@@ -466,7 +466,7 @@ def _telling(numbers: Sequence[int], total: int) -> Iterator[int]:
     """Numbers of frames, said as they are done."""
     for done, number in enumerate(numbers, total - len(numbers) + 1):
         yield number
-        tell(done, total, "film")
+        report_progress(done, total, "film")
 
 
 def _digest(thing: Any) -> str:
