@@ -31,6 +31,9 @@ COMPLETION = ["argcomplete>=3.1"]  # words of commands in the shell, after Tab
 
 CLUSTER = ["ray>=2.40"]  # clusters of `warpcage run`: the core alone, without ray[default]
 
+#: What the programs of warpcage.studio want beside the library: the editor, captures, completion. Clusters stay apart.
+STUDIO = [*EDIT, *CAPTURE, *COMPLETION]
+
 DOCS = [
     "mkdocs>=1.6",  # from there on pages are generated in memory
     "mkdocs-material>=9.5",
@@ -118,6 +121,7 @@ setup(
         'zstandard>=0.23; python_version < "3.14"',  # .spz of version 4; from 3.14 on Python has it
     ],
     extras_require={
+        "studio": STUDIO,
         "edit": EDIT,
         "exr": EXR,
         "heif": HEIF,

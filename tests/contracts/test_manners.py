@@ -64,6 +64,28 @@ def test_names_and_help_load_neither_numpy_nor_warp():
     assert done.returncode == 0, done.stderr
 
 
+def test_the_library_works_without_the_studio(tmp_path):
+    """Pictures, a field, a cage, a pose and a frame, and nothing of the programs is loaded."""
+    done = child(
+        """
+        import sys
+        import warpcage
+        from warpcage.reference import write_brick_scene
+        write_brick_scene(sys.argv[1], train_views=6, test_views=1, size=24, samples=1, device="cpu")
+        scene = warpcage.load_scene(sys.argv[1])
+        small = {"resolution": 24, "levels": 1, "epochs": 1, "batch_rays": 256}
+        field = warpcage.fit(scene, device="cpu", progress=False, **small)
+        cage = warpcage.Cage.box(scene.bounds, segments=2)
+        deformer = warpcage.Deformer(field, cage, coordinates="mean_value", resolution=12)
+        assert deformer.pose(cage.bend(20)).render(scene.cameras[0]).rgb.shape == (24, 24, 3)
+        loaded = [name for name in sys.modules if name.startswith("warpcage.studio")]
+        assert not loaded, loaded
+        """,
+        tmp_path / "scene",
+    )
+    assert done.returncode == 0, done.stderr
+
+
 def test_names_behave_as_if_they_were_imported():
     everything = {}
     exec("from warpcage import *", everything)
