@@ -75,7 +75,7 @@ def test_the_library_works_without_the_studio(tmp_path):
         scene = warpcage.load_scene(sys.argv[1])
         small = {"resolution": 24, "levels": 1, "epochs": 1, "batch_rays": 256}
         field = warpcage.fit(scene, device="cpu", progress=False, **small)
-        cage = warpcage.Cage.box(scene.bounds, segments=2)
+        cage = warpcage.Cage.box(field.bounds, segments=2)
         deformer = warpcage.Deformer(field, cage, coordinates="mean_value", resolution=12)
         assert deformer.pose(cage.bend(20)).render(scene.cameras[0]).rgb.shape == (24, 24, 3)
         loaded = [name for name in sys.modules if name.startswith("warpcage.studio")]
