@@ -533,6 +533,16 @@ def help_is_what_it_was():
             yield f"help of {name} is another"
 
 
+@rule
+def the_page_of_commands_is_what_they_say():
+    """`python docs/site/commands.py` writes it."""
+    spec = importlib.util.spec_from_file_location("commands", DOCS / "site" / "commands.py")
+    commands = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(commands)
+    if commands.page() != text(commands.PAGE):
+        yield name_of(commands.PAGE)
+
+
 # -- errors, and kinds of coordinates
 
 #: Exceptions of Python's that are made, by file: what Python itself asks for, what ends a thread, what cannot be, and

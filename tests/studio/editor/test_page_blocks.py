@@ -18,7 +18,8 @@ ROOT = pathlib.Path(__file__).resolve().parents[3]
 
 #: What is made smaller, or put where these files have it.
 SMALLER = {
-    "README.md": {
+    "README.md": {"downscale=2": "downscale=1", "vertex_count=100": "40"},
+    "python.md": {
         "downscale=2": "downscale=1",
         "vertex_count=100": "40",
         "(0.2, 0.1, 0.4)": "(-0.15, 0.1, 0.2)",

@@ -23,7 +23,7 @@ from ...errors import InputError, MissingPackageError
 from .arguments import cages, fields, info, render, runs, scenes  # noqa: F401  (they bring their commands)
 from .arguments.options import COMMANDS, package_version
 
-_ORDER = (  # of commands in their help
+ORDER = (  # of commands in their help
     "capture fit select clean mesh cage check edit pose edits render animate sweep run bake evaluate info "
     "demo doctor kernels".split()
 )
@@ -62,7 +62,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, help="print the version and exit")
     commands = parser.add_subparsers(dest="command", metavar="command", parser_class=_Parser)
-    for name in _ORDER:
+    for name in ORDER:
         command = COMMANDS[name]
         words = commands.add_parser(
             name,
