@@ -37,7 +37,10 @@ np.save("poses.npy", np.stack([np.asarray(cage.vertices) * (1, 1, 1 + 0.1 * k) f
 #: A session of the editor, with a film of two keys, and what its page exports: film, frames, baked field, cage, poses.
 EXPORTS = """
 import dataclasses, warpcage
-from warpcage import editor
+try:
+    from warpcage.studio import editor
+except ImportError:  # up to version 0.2
+    from warpcage import editor
 field, cage = warpcage.VoxelField.load("balls.npz", device="cpu"), warpcage.Cage.load("cage.obj")
 bent = cage.bend(40, axis="x", towards="z").vertices
 made = editor.new_document(field, [cage], resolution=24)
@@ -160,7 +163,10 @@ JOBS = [
 #: Runs commands of the tree that PYTHONPATH names, one after another, and writes how each ended.
 RUNNER = """
 import contextlib, io, json, pathlib, shlex, sys
-from warpcage.studio.cli import main
+try:
+    from warpcage.studio.cli import main
+except ImportError:  # up to version 0.2
+    from warpcage.cli import main
 ended = {}
 for line in pathlib.Path(sys.argv[1]).read_text().splitlines():
     said = io.StringIO()
