@@ -36,11 +36,9 @@ np.save("poses.npy", np.stack([np.asarray(cage.vertices) * (1, 1, 1 + 0.1 * k) f
 
 #: A session of the editor, with a film of two keys, and what its page exports: film, frames, baked field, cage, poses.
 EXPORTS = """
-import dataclasses, warpcage
-try:
-    from warpcage.studio import editor
-except ImportError:  # up to version 0.2
-    from warpcage import editor
+import dataclasses, importlib, pathlib, warpcage
+studio = "studio." if (pathlib.Path(warpcage.__file__).parent / "studio").is_dir() else ""  # not up to version 0.2
+editor = importlib.import_module(f"warpcage.{studio}editor")
 field, cage = warpcage.VoxelField.load("balls.npz", device="cpu"), warpcage.Cage.load("cage.obj")
 bent = cage.bend(40, axis="x", towards="z").vertices
 made = editor.new_document(field, [cage], resolution=24)
@@ -162,11 +160,10 @@ JOBS = [
 
 #: Runs commands of the tree that PYTHONPATH names, one after another, and writes how each ended.
 RUNNER = """
-import contextlib, io, json, pathlib, shlex, sys
-try:
-    from warpcage.studio.cli import main
-except ImportError:  # up to version 0.2
-    from warpcage.cli import main
+import contextlib, importlib, io, json, pathlib, shlex, sys
+import warpcage
+studio = "studio." if (pathlib.Path(warpcage.__file__).parent / "studio").is_dir() else ""  # not up to version 0.2
+main = importlib.import_module(f"warpcage.{studio}cli").main
 ended = {}
 for line in pathlib.Path(sys.argv[1]).read_text().splitlines():
     said = io.StringIO()
