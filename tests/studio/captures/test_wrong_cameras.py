@@ -112,7 +112,7 @@ def test_a_first_solution_is_kept_where_the_second_is_worse(tmp_path, scene):
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (lambda poses: torn_in_two(poses, 9), r"together: 5 .*p09 to p13.* 9 .*p00 to p08"),
+        (lambda poses: torn_in_two(poses, 9), r": 5 .*p09 to p13.* 9 .*p00 to p08"),
         (inside_out, "come out inside out.*least those of p"),
     ],
 )
