@@ -1,4 +1,4 @@
-"""Whether the cameras of a scene fit to its pictures: matches of some of these, judged as `capture` judges its own."""
+"""Whether cameras fit to pictures: how far matches agree with them, for `capture`, and a look at any scene's own."""
 
 from __future__ import annotations
 

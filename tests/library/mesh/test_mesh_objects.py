@@ -123,8 +123,8 @@ def test_a_film_of_several_objects_is_that_of_its_cage(tmp_path, named):
     stage = Usd.Stage.CreateNew(str(tmp_path / "film.usda"))
     UsdGeom.SetStageUpAxis(stage, "Z")
     for kind, name, cage, shift in ((UsdGeom.Xform, "lamp", BOX, 0.0), (UsdSkel.Root, named, BALL, 2.0)):
-        kind.Define(stage, f"/root/{name}")
-        mesh = UsdGeom.Mesh.Define(stage, f"/root/{name}/Mesh")
+        kind.Define(stage, f"/film/{name}")
+        mesh = UsdGeom.Mesh.Define(stage, f"/film/{name}/Mesh")
         mesh.CreatePointsAttr(cage.vertices)
         mesh.CreateFaceVertexCountsAttr([3] * len(cage.faces))
         mesh.CreateFaceVertexIndicesAttr(np.ravel(cage.faces).tolist())
