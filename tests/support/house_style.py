@@ -286,10 +286,14 @@ def tests_that_pages_name_exist():
 
 @rule
 def links_of_pages_lead_to_files():
+    """And to headings that are there."""
     for page in [*sorted(DOCS.glob("*.md")), *sorted(ROOT.glob("*.md"))]:
-        for link in re.findall(r"\]\((?!https?:|mailto:|#)([^)#\s]+)", text(page)):
-            if not (page.parent / link).exists():
-                yield f"{name_of(page)}: {link}"
+        for link, place in re.findall(r"\]\((?!https?:|mailto:)([^)#\s]*)(?:#([^)\s]+))?\)", text(page)):
+            target = page.parent / link if link else page
+            heads = re.findall(r"^#+ (.*)$", text(target), re.MULTILINE) if place and target.suffix == ".md" else []
+            anchors = {re.sub(r"\s+", "-", re.sub(r"[^\w\s-]", "", head).strip().lower()) for head in heads}
+            if not target.exists() or (heads and place not in anchors):
+                yield f"{name_of(page)}: {link}#{place}"
 
 
 FORMAT_TABLES = {
