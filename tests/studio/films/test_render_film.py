@@ -13,7 +13,8 @@ from warpcage import CameraFile, CameraKey, Cancelled, Deformer, Place, PlaceFil
 from warpcage.view import deep_pixels, read_film_frame, read_image, rgba_picture, write_film
 
 BENDS = [BOX.bend(15.0 * number, axis="x", towards="z") for number in range(3)]
-CAMERA = view(eye=(2.5, 0.4, 0.6), size=24)
+#: x264 writes the same file again only of sides that are multiples of its blocks.
+CAMERA = view(eye=(2.5, 0.4, 0.6), size=32)
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +62,7 @@ def test_a_film_is_that_of_a_loop(deformer, field, tmp_path, name, color):
     shown = [rgba_picture(frame) if color == "transparent" else frame.rgb for frame in frames]
     (tmp_path / "loop").mkdir()
     write_film(tmp_path / "loop" / name, shown, 12, loop=False)
-    one, other = ((tmp_path / each).read_bytes() for each in (name, f"loop/{name}"))
-    unlike = [place for place in range(min(len(one), len(other))) if one[place] != other[place]]
-    assert one == other, f"{len(one)} and {len(other)} bytes, {len(unlike)} of them unlike, the first {unlike[:9]}"
+    assert (tmp_path / name).read_bytes() == (tmp_path / "loop" / name).read_bytes()
 
 
 def test_keys_at_times_make_a_film_of_their_length(deformer, field, tmp_path):
@@ -81,7 +80,7 @@ def test_keys_at_times_make_a_film_of_their_length(deformer, field, tmp_path):
 
 
 def test_cameras_come_one_a_frame_or_as_keys(field, tmp_path):
-    other = view(eye=(0.3, -2.4, 1.0), size=24)
+    other = view(eye=(0.3, -2.4, 1.0), size=32)
     keys = CameraFile([CameraKey(CAMERA, 0.0), CameraKey(other, 0.5)], fps=4.0)
     keys.save(tmp_path / "path.json")
     on_path = [warpcage.camera_at(keys, time) for time in (0.0, 0.25, 0.5)]
@@ -130,10 +129,8 @@ def test_what_shows_what_was_shown_last_is_not_rendered_again(field, deformer, t
     pictures = map(read_image, warpcage.render_film(stage, tmp_path / "each", camera=CAMERA, fps=8))
     assert len(rendered) == 10
     write_film(tmp_path / "again.mp4", pictures, 8, loop=False)
-    films = [iio.imread(tmp_path / name, plugin="pyav") for name in ("whole.mp4", "again.mp4")]
-    assert films[0].shape == films[1].shape and len(films[0]) == 6
-    # Not byte by byte: of hundreds of runs an encoder gave one other byte once.
-    assert np.abs(films[0].astype(float) - films[1]).max() <= 2
+    assert (tmp_path / "whole.mp4").read_bytes() == (tmp_path / "again.mp4").read_bytes()
+    assert len(iio.imread(tmp_path / "whole.mp4", plugin="pyav")) == 6
     stage.hide("ball")
     warpcage.render_film(stage, tmp_path / "hidden.mp4", camera=CAMERA, fps=8)
     assert len(rendered) == 11
