@@ -214,7 +214,7 @@ def write_jpeg(path, image, quality: int = 88) -> None:
     iio.imwrite(path, to_uint8(image), quality=quality)
 
 
-# Things that are measured
+# Objects that are measured
 
 
 def ball_field(device):

@@ -63,7 +63,7 @@ FAULTS = [
     Fault("splat-antialias", "kernels/splats/project.py",
           "opacity *= wp.sqrt(sharp / blurred)", "opacity *= sharp / blurred", "splats"),
     Fault("mask-light", "kernels/view/compose.py",
-          "mask[name, n] += light * masks[name, thing, n]", "mask[name, n] += masks[name, thing, n]", "deform view"),
+          "mask[name, n] += light * masks[name, object, n]", "mask[name, n] += masks[name, object, n]", "deform view"),
     Fault("exposure-offset", "kernels/fitting/loss.py",
           "+ rgba[3] * rays.exposures[view, 1]", "+ rays.exposures[view, 1]", "fitting"),
     Fault("moment-decay", "kernels/fitting/rmsprop.py",

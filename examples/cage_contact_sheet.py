@@ -34,14 +34,14 @@ def main(argv=None) -> dict:
     wp.config.log_level = wp.LOG_WARNING  # no line for each module that Warp loads
     out = pathlib.Path(args.out)
     panels, reports = [], {}
-    for name, (thing, mesh) in scenes(args).items():
+    for name, (scene_object, mesh) in scenes(args).items():
         made = []
         for count in args.counts:
             start = time.perf_counter()
-            make = warpcage.Cage.from_mesh if thing is mesh else warpcage.Cage.from_field
-            cage = make(thing, count, method=args.method)
+            make = warpcage.Cage.from_mesh if scene_object is mesh else warpcage.Cage.from_field
+            cage = make(scene_object, count, method=args.method)
             seconds = time.perf_counter() - start
-            report = cage.check(mesh=mesh, field=None if thing is mesh else thing)
+            report = cage.check(mesh=mesh, field=None if scene_object is mesh else scene_object)
             cage.save(out / f"{name.replace(' ', '_')}_{count}.obj")
             made.append((cage, report, seconds))
             reports[f"{name} {count}"] = report.as_dict() | {"seconds": round(seconds, 2)}

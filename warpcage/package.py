@@ -26,6 +26,7 @@ MOVED = {
     "warpcage.cage.motion": "warpcage.cage.pose_file",
     "warpcage.captures": "warpcage.studio.captures",
     "warpcage.cli": "warpcage.studio.cli",
+    "warpcage.edits.words": "warpcage.edits.spec",
     "warpcage.editor": "warpcage.studio.editor",
     "warpcage.field.clean": "warpcage.select.clean",
     "warpcage.field.objects": "warpcage.select.objects",

@@ -173,11 +173,11 @@ def blender_part(folder: pathlib.Path) -> None:
 
     given = np.load(folder / "pose.npz")
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    things = []
+    objects = []
     for name in ("mesh", "cage"):
         bpy.ops.import_scene.gltf(filepath=str(folder / f"{name}.glb"))
-        things.append(bpy.context.selected_objects[0])
-    mesh, cage = things
+        objects.append(bpy.context.selected_objects[0])
+    mesh, cage = objects
     place = np.linalg.inv(np.array(cage.matrix_world))
     rest = np.array([vertex.co[:] for vertex in cage.data.vertices])
     posed = given["posed"] @ place[:3, :3].T + place[:3, 3]
@@ -290,24 +290,24 @@ def through(cage, folder, way: str) -> tuple[int, float, np.ndarray]:
     ending, up, changes, options = WAYS[way]
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bring_in(cage, folder, ending, changes)
-    thing = bpy.context.selected_objects[0]
-    bpy.context.view_layer.objects.active = thing
-    prepare(thing, changes)
-    number = [value.value for value in thing.data.attributes["cage_vertex"].data]
-    thing.data.attributes.remove(thing.data.attributes["cage_vertex"])
+    blender_object = bpy.context.selected_objects[0]
+    bpy.context.view_layer.objects.active = blender_object
+    prepare(blender_object, changes)
+    number = [value.value for value in blender_object.data.attributes["cage_vertex"].data]
+    blender_object.data.attributes.remove(blender_object.data.attributes["cage_vertex"])
     rest_file = folder / f"{way}_rest.{ending}"
     if any(word in changes for word in ("quads", "ngons")):
         export(rest_file, ending, up, options)  # other faces than the cage has: another cage
 
-    modifier = thing.modifiers.new("bend", "SIMPLE_DEFORM")
+    modifier = blender_object.modifiers.new("bend", "SIMPLE_DEFORM")
     modifier.deform_method, modifier.deform_axis, modifier.angle = "BEND", "X", 0.7
     bpy.ops.object.modifier_apply(modifier=modifier.name)
     expected = np.empty((len(cage.vertices), 3))
-    expected[number] = [vertex.co[:] for vertex in thing.data.vertices]
+    expected[number] = [vertex.co[:] for vertex in blender_object.data.vertices]
 
     posed_file = folder / f"{way}.{ending}"
     if "through" in changes:  # the vertices are those of the file turned to Blender's axes and back
-        place = np.array(thing.matrix_world)
+        place = np.array(blender_object.matrix_world)
         expected = expected @ place[:3, :3].T + place[:3, 3]
         if ending == "obj":
             expected = expected[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
@@ -332,11 +332,11 @@ def bring_in(cage, folder: pathlib.Path, ending: str, changes: str) -> None:
     file.unlink()
 
 
-def prepare(thing, changes: str) -> None:
+def prepare(blender_object, changes: str) -> None:
     """Change the mesh as a route asks for. The attribute cage_vertex keeps the index of each vertex in the cage."""
     import bpy
 
-    mesh = thing.data
+    mesh = blender_object.data
     numbers = mesh.attributes.new("cage_vertex", "INT", "POINT")
     numbers.data.foreach_set("value", np.arange(len(mesh.vertices), dtype=np.int32))
     mesh.shade_flat()
@@ -359,7 +359,7 @@ def prepare(thing, changes: str) -> None:
         for polygon in mesh.polygons:
             polygon.material_index = polygon.index % 2
     if "groups" in changes:
-        group = thing.vertex_groups.new(name="top")
+        group = blender_object.vertex_groups.new(name="top")
         group.add([vertex.index for vertex in mesh.vertices if vertex.co.z > 0], 1.0, "REPLACE")
 
 

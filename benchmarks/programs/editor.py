@@ -47,8 +47,8 @@ MAX_BYTES = 200_000
     option("--coordinates", default="harmonic"),
     option("--resolution", type=int, help="cells of the lattice (default: the session's)"),
     option("--seconds", type=float, default=10.0, help="of dragging (default: %(default)s)"),
-    option("--things", type=int, default=1, help="fields in the scene, each read from a file (default: %(default)s)"),
-    option("--places", action="store_true", help="drag a thing as a whole instead of a cage, without --browser"),
+    option("--objects", type=int, default=1, help="fields in the scene, each read from a file (default: %(default)s)"),
+    option("--places", action="store_true", help="drag an object as a whole instead of a cage, without --browser"),
     option("--browser", action="store_true", help="drag with a mouse in headless Chromium"),
     option("--screenshot", help="where a picture of the page goes (.png), with --browser"),
     JSON,
@@ -73,7 +73,7 @@ def drags(args) -> None:
     with editor(args) as (url, process):
         found = by_browser(url, args) if args.browser else asyncio.run(by_socket(url, args))
         status = pathlib.Path(f"/proc/{process}/status").read_text()
-        found |= {"things": args.things, "memory_peak_mb": int(status.split("VmHWM:")[1].split()[0]) // 1024}
+        found |= {"objects": args.objects, "memory_peak_mb": int(status.split("VmHWM:")[1].split()[0]) // 1024}
         if free is not None:  # of what Warp keeps for later too, which does not shrink
             found["device_memory_mb"] = (free - (free_bytes(args.device) or 0)) >> 20
     for name, value in found.items():
@@ -105,8 +105,8 @@ def editor(args: argparse.Namespace):
             field = pathlib.Path(args.field)
             shutil.copy(field, folder / "field.npz")
             words += [str(folder / "field.npz"), "--cage", args.cage]
-        for number in range(2, args.things + 1):
-            shutil.copy(field, folder / f"thing{number}.npz")
+        for number in range(2, args.objects + 1):
+            shutil.copy(field, folder / f"object{number}.npz")
         server = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         try:
             assert server.stdout is not None
@@ -116,7 +116,7 @@ def editor(args: argparse.Namespace):
                 if not address and server.poll() is not None:
                     raise SystemExit("the editor did not start")
             url = next(word for word in address.split() if word.startswith("http"))
-            asyncio.run(add_things(url, args.things))
+            asyncio.run(add_objects(url, args.objects))
             yield url, server.pid
         finally:
             server.terminate()  # a shell's background jobs, and what they start, do not hear Ctrl-C
@@ -133,13 +133,13 @@ def require_end(server: subprocess.Popen) -> None:
         raise SystemExit(f"the editor did not end within {END_SECONDS:g} s") from None
 
 
-async def add_things(url: str, count: int) -> None:
-    """Add the other fields beside the first one, which stays the active thing."""
+async def add_objects(url: str, count: int) -> None:
+    """Add the other fields beside the first one, which stays the active object."""
     import aiohttp
 
     async with aiohttp.ClientSession() as http, http.ws_connect(url + "socket", max_msg_size=0) as socket:
-        words = [{"do": "thing.add", "file": f"thing{number}.npz", "beside": True} for number in range(2, count + 1)]
-        for number, message in enumerate([*words, {"do": "thing.select", "id": 0}]):
+        words = [{"do": "object.add", "file": f"object{number}.npz", "beside": True} for number in range(2, count + 1)]
+        for number, message in enumerate([*words, {"do": "object.select", "id": 0}]):
             await socket.send_str(json.dumps({**message, "n": number}))
             while True:
                 heard = await socket.receive()
@@ -212,7 +212,7 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
             if listening.done():
                 listening.result()
         kind, number = ("place", 0) if args.places else ("drag", edit["id"])
-        begin = {"do": f"{kind}.begin", "thing" if args.places else "edit": number, "label": "drag"}
+        begin = {"do": f"{kind}.begin", "object" if args.places else "edit": number, "label": "drag"}
         finish = {name: value for name, value in begin.items() if name != "label"} | {"do": f"{kind}.end"}
 
         async def pose(count: int) -> float:
@@ -220,7 +220,7 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
             if args.places:
                 place = np.eye(4)
                 place[:3, 3] = (posed - hand.rest).mean(axis=0)
-                await say(do="place.set", thing=0, matrix=place.tolist(), seq=count)
+                await say(do="place.set", object=0, matrix=place.tolist(), seq=count)
             else:
                 header = struct.pack("<4I", 2, count, edit["id"], vertices)
                 await socket.send_bytes(header + posed.astype("<f8").tobytes())
@@ -456,20 +456,20 @@ def photograph(window, out: pathlib.Path) -> None:
     make_parts(window)
     keep(window, out / "editor_parts.png")
 
-    window.unfold("things")
-    window.click("#thing-add")
+    window.unfold("objects")
+    window.click("#object-add")
     window.wait("document.getElementById('ask-file')")
     window.click("#dialog-confirm")
-    window.wait("warpcage.store.sections.things.length === 2 && !document.querySelector('dialog')")
+    window.wait("warpcage.store.sections.objects.length === 2 && !document.querySelector('dialog')")
     window.click("#mode label:has([value=place])")
     window.click("#tool-move")
     for field, number in (("turn-z", "150"), ("scale", "0.5"), ("position-y", "-0.6")):
-        window.fill(f"#thing-{field}", f"{number}\n")
-    window.wait("warpcage.store.sections.things[1].place.position[1] === -0.6", "the last number has come")
+        window.fill(f"#object-{field}", f"{number}\n")
+    window.wait("warpcage.store.sections.objects[1].place.position[1] === -0.6", "the last number has come")
     window.click("#outside-all")
     window.click("#outside-keys")
     window.wait("document.getElementById('outside').hidden", "all cameras see it")
-    keep(window, out / "editor_things.png")
+    keep(window, out / "editor_objects.png")
 
 
 def make_parts(window) -> None:

@@ -112,7 +112,7 @@ def front_camera(points: np.ndarray, up, side: int):
 
 
 def scene_pictures(folder: pathlib.Path, side: int) -> dict[str, np.ndarray]:
-    """The first picture of a scene, and the same with what is known of where things are."""
+    """The first picture of a scene, and the same with what is known of where objects are."""
     from warpcage import load_scene
 
     width = first_width(folder)

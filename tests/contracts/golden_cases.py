@@ -89,7 +89,7 @@ def write_field(format):
 
 
 def saved_again(kind, **options):
-    """What writes a file as the thing of a class that it holds."""
+    """What writes a file as the object of a class that it holds."""
     return lambda path, target: kind.load(path).save(target, **options)
 
 

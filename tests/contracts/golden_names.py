@@ -23,52 +23,52 @@ KINDS = {
 PROGRAM = "warpcage"
 
 
-def callable_of(thing):
+def callable_of(item):
     """The function that callers give arguments to, and whether its first one is `self` or `cls`."""
-    if inspect.isclass(thing):
-        return thing.__init__, True
-    function = getattr(thing, "__func__", thing)
+    if inspect.isclass(item):
+        return item.__init__, True
+    function = getattr(item, "__func__", item)
     first = next(iter(inspect.signature(function).parameters), "")
     return function, first in ("self", "cls")
 
 
-def public_things():
-    """(name, thing) of all public names, and of the members of classes among them."""
+def public_objects():
+    """(name, object) of all public names, and of the members of classes among them."""
     for name in warpcage.__all__:
-        thing = getattr(warpcage, name)
-        yield name, thing
-        if inspect.isclass(thing):
+        item = getattr(warpcage, name)
+        yield name, item
+        if inspect.isclass(item):
             members = {}
-            for base in reversed(thing.__mro__):
+            for base in reversed(item.__mro__):
                 if base.__module__.startswith("warpcage"):
                     members |= {member: value for member, value in vars(base).items() if not member.startswith("_")}
             yield from ((f"{name}.{member}", value) for member, value in members.items())
 
 
-def documented(thing):
+def documented(item):
     """The names that the docstring of a class gives to its attributes."""
-    text = inspect.cleandoc(thing.__doc__ or "")
+    text = inspect.cleandoc(item.__doc__ or "")
     block = re.search(r"^Attributes:\n((?:    .*\n|\n)+)", text + "\n", re.MULTILINE)
     return re.findall(r"^    (\w+): ", block[1], re.MULTILINE) if block else []
 
 
-def described(thing):
+def described(item):
     """Parameters of what can be called, with kinds and defaults; and attributes that a class promises."""
-    if not (inspect.isclass(thing) or inspect.isfunction(getattr(thing, "__func__", thing))):
+    if not (inspect.isclass(item) or inspect.isfunction(getattr(item, "__func__", item))):
         return {}
-    function, bound = callable_of(thing)
+    function, bound = callable_of(item)
     parameters = list(inspect.signature(function).parameters.values())[1 if bound else 0 :]
     rows = [
         [each.name, KINDS[each.kind.name], *([] if each.default is each.empty else [repr(each.default)])]
         for each in parameters
     ]
-    if not inspect.isclass(thing):
+    if not inspect.isclass(item):
         return {"parameters": rows}
-    return {"parameters": rows, "attributes": documented(thing)}
+    return {"parameters": rows, "attributes": documented(item)}
 
 
 def public_names():
-    return {name: described(thing) for name, thing in public_things()}
+    return {name: described(item) for name, item in public_objects()}
 
 
 def help_text(command=""):

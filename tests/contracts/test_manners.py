@@ -91,8 +91,8 @@ def test_names_behave_as_if_they_were_imported():
     exec("from warpcage import *", everything)
     assert set(warpcage.__all__) == set(everything) - {"__builtins__"}
     for name in warpcage.__all__:
-        thing = getattr(warpcage, name)
-        assert thing is everything[name] is pickle.loads(pickle.dumps(thing)) is vars(warpcage)[name]
+        item = getattr(warpcage, name)
+        assert item is everything[name] is pickle.loads(pickle.dumps(item)) is vars(warpcage)[name]
     rooms = [path.parent.name for path in pathlib.Path(warpcage.__file__).parent.glob("*/__init__.py")]
     assert sorted(rooms) == sorted(warpcage._ROOMS)  # noqa: SLF001  (no public name lists the rooms)
     assert all(getattr(warpcage, room).__name__ == f"warpcage.{room}" for room in rooms)
@@ -157,8 +157,8 @@ def test_a_signal_in_a_destructor_is_not_lost(command, capsys, name, status):
             sum(range(10))  # the handler runs here
 
     def frees():
-        thing = Freed()
-        del thing
+        item = Freed()
+        del item
         time.sleep(9)
 
     command(frees)

@@ -22,7 +22,7 @@ SPLAT_FIT = {"representation": "splats", "device": "cpu", "steps": 4, "most_spla
 
 
 @pytest.fixture(scope="module")
-def things(tmp_path_factory):
+def objects(tmp_path_factory):
     """What the calls need."""
     field, splats = shiny_field("cpu", resolution=12), splats_in_box("cpu", count=60, degree=0)
     cameras = [view(eye=eye, size=12) for eye in ((2.5, 0, 0.5), (0, 2.5, 0.5), (-2.5, 0, 0.5))]
@@ -42,9 +42,9 @@ def things(tmp_path_factory):
     }
 
 
-def film(things, ending, **options):
-    write_film(things["folder"] / f"film{ending}", things["pictures"], **options)
-    return (things["folder"] / f"film{ending}").stat().st_size
+def film(objects, ending, **options):
+    write_film(objects["folder"] / f"film{ending}", objects["pictures"], **options)
+    return (objects["folder"] / f"film{ending}").stat().st_size
 
 
 #: Long work by its name: what it is, and a number that tells its results apart.
@@ -93,9 +93,9 @@ class Stop(ValueError):
 
 
 @pytest.mark.parametrize("name", WORK)
-def test_work_tells_how_far_it_is_and_ends_when_it_is_asked_to(name, things, capfd):
+def test_work_tells_how_far_it_is_and_ends_when_it_is_asked_to(name, objects, capfd):
     """At the first word and at the last one. Afterwards there is no new file, and the same work gives what it gives."""
-    work = functools.partial(WORK[name], things)
+    work = functools.partial(WORK[name], objects)
     expected, calls = work(progress=False), []
     assert work(progress=lambda *values: calls.append(values)) == pytest.approx(expected)
     assert calls and capfd.readouterr().out == ""
@@ -103,9 +103,9 @@ def test_work_tells_how_far_it_is_and_ends_when_it_is_asked_to(name, things, cap
         assert type(done) is int and type(total) is int and done >= 0 and (done <= total or total == 0)
         assert isinstance(words, str) and words and "\n" not in words
 
-    for made in things["folder"].glob("film.*"):
+    for made in objects["folder"].glob("film.*"):
         made.unlink()
-    before = sorted(things["folder"].rglob("*"))
+    before = sorted(objects["folder"].rglob("*"))
     for last, kind in ((0, Stop), (len(calls) - 1, Stop), (len(calls) - 1, Cancelled)):
         told = []
 
@@ -118,28 +118,28 @@ def test_work_tells_how_far_it_is_and_ends_when_it_is_asked_to(name, things, cap
         with pytest.raises(kind) as caught:
             work(progress=progress)
         assert len(told) == last + 1 and (kind is Stop or isinstance(caught.value, warpcage.Error))
-        assert sorted(things["folder"].rglob("*")) == before
+        assert sorted(objects["folder"].rglob("*")) == before
     assert work(progress=False) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
     ("answer", "ends"), [(np.bool_(False), True), (np.bool_(True), False), (0, False), ("", False)]
 )
-def test_a_false_of_numpy_ends_work(answer, ends, things):
+def test_a_false_of_numpy_ends_work(answer, ends, objects):
     """A zero does not, as functions that write or count return them."""
     with pytest.raises(Cancelled) if ends else contextlib.nullcontext():
-        WORK["harmonic weights"](things, progress=lambda *values: answer)
+        WORK["harmonic weights"](objects, progress=lambda *values: answer)
 
 
-def test_a_bar_goes_to_stderr(things, capfd):
-    WORK["harmonic weights"](things, progress=True)
+def test_a_bar_goes_to_stderr(objects, capfd):
+    WORK["harmonic weights"](objects, progress=True)
     printed = capfd.readouterr()
     assert printed.out == "" and "harmonic weights" in printed.err
 
 
 @pytest.mark.parametrize("progress", [5, "yes", []])
-def test_what_is_no_progress_is_told(progress, things):
-    refused(lambda: WORK["harmonic weights"](things, progress=progress), match="progress must be True, False")
+def test_what_is_no_progress_is_told(progress, objects):
+    refused(lambda: WORK["harmonic weights"](objects, progress=progress), match="progress must be True, False")
 
 
 def test_a_cage_of_a_mesh_can_be_ended():
@@ -149,27 +149,27 @@ def test_a_cage_of_a_mesh_can_be_ended():
     assert len(told) == 3
 
 
-def test_a_caller_may_do_other_work_meanwhile(things):
+def test_a_caller_may_do_other_work_meanwhile(objects):
     """Which is not told to it."""
     told = []
 
     def progress(done, total, words):
         told.append(words)
-        WORK["harmonic weights"](things)
-        things["field"].render(things["cameras"][0])
+        WORK["harmonic weights"](objects)
+        objects["field"].render(objects["cameras"][0])
 
-    WORK["evaluate"](things, progress=progress)
+    WORK["evaluate"](objects, progress=progress)
     assert set(told) == {"evaluate"}
 
 
-def test_a_cancelled_fit_goes_on_from_its_checkpoint(things, tmp_path):
+def test_a_cancelled_fit_goes_on_from_its_checkpoint(objects, tmp_path):
     file = tmp_path / "fit.npz"
     options = {**FIT, "checkpoint": file, "checkpoint_seconds": 0.0}
-    whole = warpcage.fit(things["scene"], **FIT, progress=False)
+    whole = warpcage.fit(objects["scene"], **FIT, progress=False)
     with pytest.raises(Cancelled, match="fit was cancelled, 2 of"):
-        warpcage.fit(things["scene"], **options, progress=lambda done, total, words: done < 2)
+        warpcage.fit(objects["scene"], **options, progress=lambda done, total, words: done < 2)
     assert file.exists()
     begun = []
-    again = warpcage.fit(things["scene"], **options, progress=lambda done, total, words: begun.append(done))
+    again = warpcage.fit(objects["scene"], **options, progress=lambda done, total, words: begun.append(done))
     assert begun[0] == 2 and not file.exists()
     np.testing.assert_allclose(again.node_densities(), whole.node_densities(), atol=1e-5)

@@ -48,7 +48,7 @@ def test_readers_of_one_file(tmp_path, name, read):
         refused(lambda: read(tmp_path / name), said, name)
 
 
-def test_files_that_only_speak_of_such_things_are_read(tmp_path):
+def test_files_that_only_speak_of_such_objects_are_read(tmp_path):
     """The beginning decides."""
     path = tmp_path / "cage.obj"
     Cage.box((0, 0, 0), (1, 1, 1)).save(path)

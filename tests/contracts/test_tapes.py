@@ -91,8 +91,8 @@ def world(tmp_path_factory):
     return on
 
 
-def saved(world, thing, name):
-    thing.save(world["folder"] / name)
+def saved(world, item, name):
+    item.save(world["folder"] / name)
 
 
 def by_kind(call):
@@ -200,8 +200,8 @@ OTHERS = {
 def test_nothing_is_on_the_tape_of_a_caller(name, device, world):
     expected = simulated(device)
     assert expected[0] == ["step_places"] * STEPS + ["add_squares"]
-    things = world(device)
-    assert simulated(device, lambda vertices: CALLS[name](things, vertices)) == expected
+    objects = world(device)
+    assert simulated(device, lambda vertices: CALLS[name](objects, vertices)) == expected
 
 
 def test_the_table_is_of_all_public_names():

@@ -48,12 +48,12 @@ def lines_with(mark, path):
 def test_pyright_knows_the_calls_and_every_public_name(tmp_path):
     """Under its strict rules a caller is told of no unknown type, whatever public name it touches."""
     lines = {"": "# pyright: strict\nimport warpcage"}
-    for name, thing in golden_names.public_things():
+    for name, scene_object in golden_names.public_objects():
         owner, _, member = name.partition(".")
         kind = f"warpcage.{owner}" + ("[warpcage.Cage]" if hasattr(getattr(warpcage, owner), "__parameters__") else "")
         members = [member] if member else []
-        if inspect.isclass(thing) and not member:
-            members = ["__init__", *golden_names.documented(thing)]
+        if inspect.isclass(scene_object) and not member:
+            members = ["__init__", *golden_names.documented(scene_object)]
         lines |= {f"{owner}.{each}": f"def {owner}_{each}(it: {kind}): return it.{each}" for each in members}
         lines |= {} if members else {name: f"print(warpcage.{name})"}
     assert len(lines) > 400

@@ -1,4 +1,4 @@
-"""Things of another kind than a call takes end in one line that names both, before any work."""
+"""Objects of another kind than a call takes end in one line that names both, before any work."""
 
 import copy
 import functools
@@ -110,7 +110,7 @@ def field():
 
 
 @pytest.mark.parametrize("call, message", WRONG.values(), ids=list(WRONG))
-def test_another_kind_of_thing_is_named(call, message, field):
+def test_another_kind_of_object_is_named(call, message, field):
     refused(lambda: call(field), match=message)
 
 

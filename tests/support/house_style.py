@@ -94,31 +94,31 @@ def entries(lines):
     return [match[1].lstrip("*") for match in map(ENTRY.match, lines) if match]
 
 
-def docstring_complaints(thing):
+def docstring_complaints(item):
     """What is wrong with the docstring and the annotations of a public name."""
-    docstring = inspect.getdoc(thing) if not inspect.isclass(thing) else thing.__doc__
+    docstring = inspect.getdoc(item) if not inspect.isclass(item) else item.__doc__
     if not docstring:
         return ["it has no docstring"]
     summary = inspect.cleandoc(docstring).splitlines()[0]
     found = [] if summary.endswith((".", ":")) else [f"its summary {summary!r} is not one line that ends"]
-    if isinstance(thing, property):
-        return found + ([] if "return" in thing.fget.__annotations__ else ["its value is not annotated"])
+    if isinstance(item, property):
+        return found + ([] if "return" in item.fget.__annotations__ else ["its value is not annotated"])
 
-    if inspect.isclass(thing) and issubclass(thing, Exception):  # made of a message alone
+    if inspect.isclass(item) and issubclass(item, Exception):  # made of a message alone
         return found
-    function, bound = golden_names.callable_of(thing)
+    function, bound = golden_names.callable_of(item)
     signature = inspect.signature(function)
     parameters = list(signature.parameters.values())[1 if bound else 0 :]
     parts = sections(docstring)
     described = entries(parts.get("Args", ()))
-    if dataclasses.is_dataclass(thing):  # whose fields are attributes too
+    if dataclasses.is_dataclass(item):  # whose fields are attributes too
         described += entries(parts.get("Attributes", ()))
     names = [parameter.name for parameter in parameters]
     found += [f"{name} is not described" for name in names if name not in described]
     takes_more = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
     found += [f"{name} is described, but no parameter" for name in described if name not in names and not takes_more]
     found += [f"{each.name} is not annotated" for each in parameters if each.annotation is each.empty]
-    if inspect.isclass(thing):
+    if inspect.isclass(item):
         return found
     if signature.return_annotation is inspect.Signature.empty:
         found.append("what it returns is not annotated")
@@ -130,9 +130,9 @@ def docstring_complaints(thing):
 @rule
 def every_parameter_is_described_and_annotated():
     methods = property | classmethod | staticmethod
-    for name, thing in golden_names.public_things():
-        if "." not in name or inspect.isfunction(thing) or isinstance(thing, methods):
-            yield from (f"{name}: {complaint}" for complaint in docstring_complaints(thing))
+    for name, item in golden_names.public_objects():
+        if "." not in name or inspect.isfunction(item) or isinstance(item, methods):
+            yield from (f"{name}: {complaint}" for complaint in docstring_complaints(item))
 
 
 MAX_LINES = 2
@@ -350,8 +350,8 @@ FIXED = {
 }
 
 
-def kind_of(thing):
-    return "class" if inspect.isclass(thing) else "function" if callable(thing) else type(thing).__name__
+def kind_of(item):
+    return "class" if inspect.isclass(item) else "function" if callable(item) else type(item).__name__
 
 
 @rule
@@ -359,9 +359,9 @@ def paths_that_users_know_stay():
     """A name that is public too is one object, wherever it is taken from."""
     for module, names in FIXED.items():
         for name in names:
-            thing = getattr(importlib.import_module(module), name, None)
+            item = getattr(importlib.import_module(module), name, None)
             meant = "dict" if name.isupper() else "class" if name[0].isupper() else "function"
-            if kind_of(thing) != meant or (name in warpcage.__all__ and thing is not getattr(warpcage, name)):
+            if kind_of(item) != meant or (name in warpcage.__all__ and item is not getattr(warpcage, name)):
                 yield f"{module}.{name}"
     for name in ("warpcage.__main__", "warpcage.cli.__main__"):  # the program starts by both names
         if importlib.util.find_spec(name) is None:
@@ -477,9 +477,9 @@ NAMED = ("", "*")  # kinds of parameters that are given by name
 HELP = TESTS / "data" / "help"
 
 
-def refusals(thing, was):
+def refusals(item, was):
     """What a call with all parameters of then, as of then, is refused for; empty where it is taken."""
-    function, bound = golden_names.callable_of(thing)
+    function, bound = golden_names.callable_of(item)
     needed = [name for name, kind, *default in was["parameters"] if not default and kind == ""]
     named = [name for name, kind, *_ in was["parameters"] if kind in NAMED and name not in needed]
     first = ["self"] if bound else []
@@ -496,9 +496,9 @@ def refusals(thing, was):
     return said
 
 
-def changed_defaults(thing, was):
+def changed_defaults(item, was):
     """Parameters that are still there with another default."""
-    function, _ = golden_names.callable_of(thing)
+    function, _ = golden_names.callable_of(item)
     parameters = inspect.signature(function).parameters
     then = {name: default[0] if default else None for name, _, *default in was["parameters"] if name in parameters}
     now = {name: parameters[name].default for name in then}
@@ -508,21 +508,21 @@ def changed_defaults(thing, was):
 
 @rule
 def public_names_parameters_and_defaults_stay():
-    things = dict(golden_names.public_things())
+    objects = dict(golden_names.public_objects())
     for name, was in GOLDEN.items():
         owner, _, member = name.partition(".")
-        thing = getattr(warpcage, owner, None)
+        item = getattr(warpcage, owner, None)
         if not member and (name not in warpcage.__all__ or name not in dir(warpcage)):
             yield f"{name} is gone"
-        elif member and not (hasattr(thing, member) or member in getattr(thing, "__dataclass_fields__", {})):
+        elif member and not (hasattr(item, member) or member in getattr(item, "__dataclass_fields__", {})):
             yield f"{name} is gone"  # a dataclass has members without a default on objects alone
         elif was:
-            thing = things.get(name) or getattr(warpcage, name)
-            yield from (f"{name}: {complaint}" for complaint in refusals(thing, was))
-            yield from (f"{name}: default of {changed}" for changed in changed_defaults(thing, was).items())
-            described = "\n" + (inspect.getdoc(thing) or "")
-            for each in set(was.get("attributes", ())) - set(golden_names.documented(thing)):
-                if not hasattr(thing, each) and f"\n    {each}: " not in described:
+            item = objects.get(name) or getattr(warpcage, name)
+            yield from (f"{name}: {complaint}" for complaint in refusals(item, was))
+            yield from (f"{name}: default of {changed}" for changed in changed_defaults(item, was).items())
+            described = "\n" + (inspect.getdoc(item) or "")
+            for each in set(was.get("attributes", ())) - set(golden_names.documented(item)):
+                if not hasattr(item, each) and f"\n    {each}: " not in described:
                     yield f"{name}: its attribute {each} is not described"
 
 
@@ -566,8 +566,8 @@ def refusals_are_errors_of_the_package():
         made = set()
         for node in nodes(path):
             called = node.func if isinstance(node, ast.Call) else node.exc if isinstance(node, ast.Raise) else None
-            thing = getattr(builtins, called.id, None) if isinstance(called, ast.Name) else None
-            if isinstance(thing, type) and issubclass(thing, Exception):
+            item = getattr(builtins, called.id, None) if isinstance(called, ast.Name) else None
+            if isinstance(item, type) and issubclass(item, Exception):
                 made.add(called.id)
         name = path.relative_to(PACKAGE).as_posix()
         if made != MADE.get(name, set()):

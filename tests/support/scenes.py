@@ -1,4 +1,4 @@
-"""Made scenes: a table with things on it, the brick model in a painted room, a coloured box, a phone's walk."""
+"""Made scenes: a table with objects on it, the brick model in a painted room, a coloured box, a phone's walk."""
 
 import dataclasses
 import itertools

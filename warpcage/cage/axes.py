@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .cage import Cage
 
 #: What the words may be.
-AXIS_WORDS = "x, y, z, -x, up, long, middle, short, or a direction such as 0,0.2,1"
+AXIS_NAMES = "x, y, z, -x, up, long, middle, short, or a direction such as 0,0.2,1"
 
 _NAMED = re.compile("[-+]?([xyz]|up|long|middle|short)")
 

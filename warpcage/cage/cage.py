@@ -131,7 +131,7 @@ class Cage(PosableMesh):
             largest_hole: Holes of up to this many edges are closed; at least 3.
 
         Returns:
-            The mended cage, and a line for each thing that was done. Where nothing was, this cage and no lines.
+            The mended cage, and a line for each repair. Where nothing was, this cage and no lines.
 
         Raises:
             ValueError: For a smaller `largest_hole`, or where no face is left.

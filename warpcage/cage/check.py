@@ -270,9 +270,9 @@ def percent_text(share: float) -> str:
     return "Less than 1 %" if share < 0.01 else f"{100 * share:.0f} %"
 
 
-def _standing(cage: ClosedMesh, *things: object) -> str:
+def _standing(cage: ClosedMesh, *objects: object) -> str:
     """What speaks for another axis up, by the first object that does."""
-    notes = [other_standing(cage, thing) for thing in things if thing is not None]
+    notes = [other_standing(cage, scene_object) for scene_object in objects if scene_object is not None]
     return next((note for note in notes if note), "")
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from ..core.files import PathLike
 from ..errors import InputError
-from .axes import AXIS_WORDS, axis_of, default_towards, is_axis
+from .axes import AXIS_NAMES, axis_of, default_towards, is_axis
 from .cage import Cage
 
 #: Preset -> the amount that changes nothing, and how many axes it may name.
@@ -18,7 +18,7 @@ PRESETS = {"rest": (0.0, 0), "bend": (0.0, 2), "twist": (0.0, 1), "taper": (1.0,
 PRESET_HELP = (
     "rest, bend:DEGREES[:AXIS[:TOWARDS]], twist:DEGREES[:AXIS], taper:FACTOR[:AXIS], "
     "stretch:FACTOR[:AXIS], scale:FACTOR, rotate:DEGREES[:AXIS] or translate:X:Y:Z; "
-    f"an AXIS is {AXIS_WORDS}"
+    f"an AXIS is {AXIS_NAMES}"
 )
 
 

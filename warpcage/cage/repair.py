@@ -12,7 +12,7 @@ from ..mesh.validity import coincident_vertices, inward_parts
 
 
 def repaired_faces(cage: ClosedMesh, largest_hole: int = 12) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Mended faces (f, 3) and a line for each thing that was done; the cage's own faces and no lines where none was."""
+    """Mended faces (f, 3) and a line for each repair; the cage's own faces and no lines where none was."""
     # In order: faces name one vertex at a place (others stay, unused); faces with a vertex twice or repeated go;
     # neighbours are wound alike; small holes are closed with the least area and no new vertices; parts turn outward.
     # Left for `check`: edges of three faces, crossing faces, wide holes, surfaces with one side only.

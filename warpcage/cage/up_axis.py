@@ -109,12 +109,12 @@ def is_pose(rest: ClosedMesh, vertices: np.ndarray, faces: np.ndarray) -> bool:
     return True
 
 
-def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = False) -> UpAxis:
+def standing_of_rest(cage: ClosedMesh, up: str, scene_object: object, *, given: bool = False) -> UpAxis:
     """How a cage at rest, turned from the axis `up` to z, stands by what it holds of a field, a selection or a mesh.
     An axis that the user gave is kept; a cage that cannot be used, or an object that shows nothing, is as expected."""
     if first_problem(cage):
         return UpAxis(up)
-    points = object_points(thing, count=max(_MIN_POINTS, min(_MAX_POINTS, _WORK // len(cage.faces))))
+    points = object_points(scene_object, count=max(_MIN_POINTS, min(_MAX_POINTS, _WORK // len(cage.faces))))
     if not len(points):
         return UpAxis(up)
     here, other = _share_inside(cage, points), _other(up)
@@ -140,9 +140,9 @@ def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = 
     return UpAxis(up, note=note, likelier=there > _FAR_MORE * here)
 
 
-def other_standing(cage: ClosedMesh, thing: object) -> str:
+def other_standing(cage: ClosedMesh, scene_object: object) -> str:
     """What speaks for another axis up of a cage that was read already, by what it holds of its object, or ""."""
-    found = [standing_of_rest(cage, up, thing, given=True) for up in UPS]
+    found = [standing_of_rest(cage, up, scene_object, given=True) for up in UPS]
     return next((each.note for each in found if each.doubtful), "")
 
 
@@ -218,12 +218,12 @@ def restood(cage: Mesh, was: str, up: str) -> Mesh:
     return cage if was == up else cage.with_vertices(turned_up(cage.vertices, up, was))
 
 
-def object_points(thing: Any, count: int) -> np.ndarray:
+def object_points(scene_object: Any, count: int) -> np.ndarray:
     """(n, 3) at most `count` points of a field, a selection or a mesh, world units."""
     # splats of whole places reach so far that the cells of a grid over all of them are larger than the object
-    vertices = getattr(thing, "vertices", getattr(thing, "shown_points", None))
+    vertices = getattr(scene_object, "vertices", getattr(scene_object, "shown_points", None))
     if vertices is None:
-        return some_visible_nodes(thing, count)
+        return some_visible_nodes(scene_object, count)
     points = np.asarray(vertices, dtype=np.float64)
     chosen = np.random.default_rng(0).permutation(len(points))[:count]
     return points[np.sort(chosen)]

@@ -324,12 +324,12 @@ def array_view(
     return view
 
 
-def array_bytes(thing: object, leave: Sequence[object] = ()) -> int:
+def array_bytes(item: object, leave: Sequence[object] = ()) -> int:
     """Bytes, on devices and in main memory, of an object's arrays and textures at any depth; not those of `leave`."""
     held: dict[tuple[str, int], int] = {}  # views count once; only objects of this package and Warp structs are opened
-    seen, open_things = {id(each) for each in leave}, [thing]
-    while open_things:
-        each = open_things.pop()
+    seen, open_objects = {id(each) for each in leave}, [item]
+    while open_objects:
+        each = open_objects.pop()
         if id(each) in seen or each is None or isinstance(each, str | bytes | int | float):
             continue
         seen.add(id(each))
@@ -346,11 +346,11 @@ def array_bytes(thing: object, leave: Sequence[object] = ()) -> int:
                 base = base.base
             held["host", id(base)] = base.nbytes
         elif isinstance(each, dict):
-            open_things += each.values()
+            open_objects += each.values()
         elif isinstance(each, list | tuple | set):
-            open_things += each
+            open_objects += each
         elif type(each).__module__.startswith(_ROOT) or hasattr(each, "_ctype"):  # which structs have
-            open_things += _attributes(each)
+            open_objects += _attributes(each)
     return sum(held.values())
 
 
@@ -361,10 +361,10 @@ def _whole(array: Any) -> Any:
     return array
 
 
-def _attributes(thing: Any) -> list[Any]:
+def _attributes(item: Any) -> list[Any]:
     """The values of an object's attributes, those of slots too."""
-    names = [name for kind in type(thing).__mro__ for name in getattr(kind, "__slots__", ())]
-    return [*getattr(thing, "__dict__", {}).values(), *(getattr(thing, name, None) for name in names)]
+    names = [name for kind in type(item).__mro__ for name in getattr(kind, "__slots__", ())]
+    return [*getattr(item, "__dict__", {}).values(), *(getattr(item, name, None) for name in names)]
 
 
 #: Bytes of page-locked memory for the copies of a device, at most. Further ones are waited for when they are made.

@@ -321,8 +321,8 @@ def require_endings(endings: tuple[str, ...]) -> None:
 def renamed(**names: str) -> Callable[[Decorated], Decorated]:
     """Decorates a function or class whose arguments have new names: center="centre" takes centre= too, this release."""
 
-    def decorate(thing: Any) -> Any:  # a function or a class
-        function = thing.__init__ if isinstance(thing, type) else thing
+    def decorate(decorated: Any) -> Any:  # a function or a class
+        function = decorated.__init__ if isinstance(decorated, type) else decorated
 
         @functools.wraps(function)
         def accepting(*values: Any, **options: Any) -> Any:
@@ -334,9 +334,9 @@ def renamed(**names: str) -> Callable[[Decorated], Decorated]:
                     options[new] = options.pop(old)
             return function(*values, **options)
 
-        if isinstance(thing, type):
-            thing.__init__ = accepting
-            return thing
+        if isinstance(decorated, type):
+            decorated.__init__ = accepting
+            return decorated
         return accepting
 
     return decorate

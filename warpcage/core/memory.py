@@ -143,87 +143,87 @@ def _lines(path: pathlib.Path) -> list[str]:
         return []
 
 
-Thing = TypeVar("Thing")
+Value = TypeVar("Value")
 
-#: Calls of `settle` after which a thing is measured in any case.
+#: Calls of `settle` after which a value is measured in any case.
 MEASURED_EVERY = 256
 
 
 @dataclasses.dataclass
-class _Kept(Generic[Thing]):
-    """A thing, the bytes that it took when it was measured, and how often it was settled."""
+class _Kept(Generic[Value]):
+    """A value, the bytes that it took when it was measured, and how often it was settled."""
 
-    thing: Thing
+    value: Value
     size: int = 0
     calls: int = 0
 
 
-class LRUCache(Generic[Thing]):
-    """Things by key, of which those that were not used for longest are let go, and `dropped` is called with each.
+class LRUCache(Generic[Value]):
+    """Values by key, of which those that were not used for longest are let go, and `dropped` is called with each.
     The one that is used last stays, whatever bytes it takes by `measure`. None: no limit of bytes, none counted."""
 
     def __init__(
         self,
         most: int,
         most_bytes: int | None = None,
-        measure: Callable[[Thing], int] | None = None,
-        dropped: Callable[[Thing], Any] | None = None,
+        measure: Callable[[Value], int] | None = None,
+        dropped: Callable[[Value], Any] | None = None,
     ):
         self.most, self.most_bytes, self.measure, self._dropped = most, most_bytes, measure, dropped
-        self._things: OrderedDict[Hashable, _Kept[Thing]] = OrderedDict()
+        self._values: OrderedDict[Hashable, _Kept[Value]] = OrderedDict()
 
     def __len__(self) -> int:
-        return len(self._things)
+        return len(self._values)
 
     def __contains__(self, key: Hashable) -> bool:
-        return key in self._things
+        return key in self._values
 
     @property
     def held_bytes(self) -> int:
-        """Bytes of all things together, as they were measured last."""
-        return sum(kept.size for kept in self._things.values())
+        """Bytes of all values together, as they were measured last."""
+        return sum(kept.size for kept in self._values.values())
 
-    def get(self, key: Hashable, make: Callable[[], Thing]) -> Thing:
-        """The thing of a key, made where it is not kept; it is now the one that was used last."""
-        if key in self._things:
-            self._things.move_to_end(key)
-            return self._things[key].thing
-        while len(self._things) >= self.most:  # before the new one is made, which needs the room
+    def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
+        """The value of a key, made where it is not kept; it is now the one that was used last."""
+        if key in self._values:
+            self._values.move_to_end(key)
+            return self._values[key].value
+        while len(self._values) >= self.most:  # before the new one is made, which needs the room
             self._drop_oldest()
-        thing = make()
-        self._things[key] = _Kept(thing)
+        value = make()
+        self._values[key] = _Kept(value)
         self.settle(key)
-        return thing
+        return value
 
     def settle(self, key: Hashable) -> None:
-        """Measure a thing anew, which may have grown since it was made, and let go of what is too much."""
-        if key not in self._things or self.measure is None:
+        """Measure a value anew, which may have grown since it was made, and let go of what is too much."""
+        if key not in self._values or self.measure is None:
             return
-        kept = self._things[key]
+        kept = self._values[key]
         kept.calls += 1
         if kept.calls % MEASURED_EVERY and kept.calls & (kept.calls - 1):  # measuring takes a while: at 1, 2, 4 ...
             return
-        kept.size = self.measure(kept.thing)
-        while self.most_bytes is not None and len(self._things) > 1 and self.held_bytes > self.most_bytes:
+        kept.size = self.measure(kept.value)
+        while self.most_bytes is not None and len(self._values) > 1 and self.held_bytes > self.most_bytes:
             self._drop_oldest()
 
-    def items(self) -> list[tuple[Hashable, Thing]]:
-        """Keys and things, from the one that was not used for longest."""
-        return [(key, kept.thing) for key, kept in self._things.items()]
+    def items(self) -> list[tuple[Hashable, Value]]:
+        """Keys and values, from the one that was not used for longest."""
+        return [(key, kept.value) for key, kept in self._values.items()]
 
     def drop(self, key: Hashable) -> None:
-        """Let go of a thing, if it is kept."""
-        if key in self._things:
-            self._let_go(self._things.pop(key).thing)
+        """Let go of a value, if it is kept."""
+        if key in self._values:
+            self._let_go(self._values.pop(key).value)
 
     def clear(self) -> None:
-        """Let go of all things."""
-        while self._things:
+        """Let go of all values."""
+        while self._values:
             self._drop_oldest()
 
     def _drop_oldest(self) -> None:
-        self._let_go(self._things.popitem(last=False)[1].thing)
+        self._let_go(self._values.popitem(last=False)[1].value)
 
-    def _let_go(self, thing: Thing) -> None:
+    def _let_go(self, value: Value) -> None:
         if self._dropped is not None:
-            self._dropped(thing)
+            self._dropped(value)

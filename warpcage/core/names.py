@@ -32,8 +32,8 @@ DENSITIES: tuple[str, ...] = get_args(Density)
 Store: TypeAlias = Literal["map", "weights"]
 STORES: tuple[str, ...] = get_args(Store)
 
-#: The word for `CageEdit.fragments` in files of edits, jobs and sessions, which stay as they are.
-FRAGMENTS_WORD = "crumbs"
+#: Keys of edits in files up to version 0.2, by their names now; see `renamed_keys`.
+OLD_KEYS = {"fragments": "crumbs"}
 
 #: How splats follow a cage, as `map=` takes them.
 SplatMap: TypeAlias = Literal["forward", "backward"]
@@ -95,23 +95,31 @@ require_coordinates = functools.partial(require_name, names=COORDINATES, what="c
 require_store = functools.partial(require_name, names=STORES, what="store")
 
 
-def edit_fields(words: Mapping[str, Any]) -> dict[str, Any]:
-    """What a file says of an edit, by the names of fields."""
-    return {"fragments" if word == FRAGMENTS_WORD else word: value for word, value in words.items()}
+def renamed_keys(content: Any, names: Mapping[str, str] = OLD_KEYS) -> Any:
+    """An object of JSON with the keys of older files by their names now; what is no object stays as it is."""
+    if not isinstance(content, Mapping) or not any(old in content for old in names.values()):
+        return content
+    twice = next((new for new, old in names.items() if new in content and old in content), None)
+    if twice is not None:
+        raise InputError(f"{names[twice]!r} is the old name of {twice!r}: give one of them")
+    now = {old: new for new, old in names.items()}
+    return {now.get(key, key): value for key, value in content.items()}
 
 
-def edit_words(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of an edit, by the words of files."""
-    return {FRAGMENTS_WORD if name == "fragments" else name: value for name, value in fields.items()}
+def older_keys(content: Any) -> Any:
+    """JSON with all keys as the first versions of files had them."""
+    if isinstance(content, dict):
+        return {OLD_KEYS.get(key, key): older_keys(value) for key, value in content.items()}
+    return [older_keys(value) for value in content] if isinstance(content, list) else content
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
-    """A number of things, such as "1 frame" or "2 frames"; an empty plural adds an "s"."""
+    """A count and its noun, such as "1 frame" or "2 frames"; an empty plural adds an "s"."""
     return f"{count} {agreed(count, noun, plural or f'{noun}s')}"
 
 
 def agreed(count: int, one: str, several: str) -> str:
-    """The word of one thing, such as "is", or that of none or several, such as "are"."""
+    """The word of one, such as "is", or that of none or several, such as "are"."""
     return one if count == 1 else several
 
 

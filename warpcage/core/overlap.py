@@ -144,7 +144,7 @@ class _Abandoned(Exception):
 
 
 class Gate:
-    """Lets in what there is room for: at most so many things and bytes, but one thing whatever it holds."""
+    """Lets in what there is room for: at most so many items and bytes, but one item whatever it holds."""
 
     def __init__(self, most: int, room: int = ROOM):
         self._changed = threading.Condition()

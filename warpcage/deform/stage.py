@@ -21,6 +21,7 @@ from ..core.checks import (
     checked_positive,
     checked_whole,
     listed,
+    renamed,
     require_type,
 )
 from ..core.devices import HeldOnDevice, launch, resolve_device
@@ -33,8 +34,8 @@ from ..errors import InputError
 from ..field.mixing import mixed_field
 from ..field.render import picture_arrays
 from ..field.voxel_field import VoxelField
-from ..kernels.view.compose import compose_things
-from ..render.surface_mesh import SurfaceMesh, load_thing
+from ..kernels.view.compose import compose_objects
+from ..render.surface_mesh import SurfaceMesh, load_object
 from ..splats.io.axes import joined, placed
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
@@ -52,7 +53,7 @@ from .bake import MAX_RESOLUTION, STAND_IN_RESOLUTION, bake
 from .deformer import Deformer, SplatDeformer
 
 #: What a stage holds.
-Thing: TypeAlias = VoxelField | SplatField | SurfaceMesh | Deformer
+SceneObject: TypeAlias = VoxelField | SplatField | SurfaceMesh | Deformer
 
 #: Cells of the lattice on which a field without edits is moved: a similarity is exact on any.
 PLACING_CELLS = 16
@@ -63,9 +64,9 @@ STAND_OFF = 0.05
 
 @dataclasses.dataclass
 class StageItem:
-    """One thing of a stage; see `Stage.add`."""
+    """One object of a stage; see `Stage.add`."""
 
-    thing: Thing
+    scene_object: SceneObject
     places: PlaceFile
     path: pathlib.Path | None  # the file of its field, None where that is not known
     hidden: bool = False
@@ -73,28 +74,28 @@ class StageItem:
     @property
     def field(self) -> VoxelField | SplatField | SurfaceMesh:
         """Its field or mesh, without cages."""
-        return self.thing.field if isinstance(self.thing, Deformer) else self.thing
+        return self.scene_object.field if isinstance(self.scene_object, Deformer) else self.scene_object
 
     @property
     def bounds(self) -> np.ndarray:
         """(2, 3) box of what it shows, cages too, in its own coordinates."""
         field = self.field
         boxes = [field.shown_bounds if isinstance(field, SplatField) else field.bounds]
-        posed = self.thing.deformed if isinstance(self.thing, Deformer) else None
+        posed = self.scene_object.deformed if isinstance(self.scene_object, Deformer) else None
         boxes += [cage.bounds for cage in posed or [] if cage is not None]
         return np.stack([np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)])
 
 
 class Stage(HeldOnDevice):
-    """Several things in one scene: fields, meshes, and Deformers of those, each in a place of its own.
+    """Several objects in one scene: fields, meshes, and Deformers of those, each in a place of its own.
 
     Each is rendered from where the camera stands in its own coordinates, and the pictures are put together ray by ray
-    by depth. That is right where a thing is solid, or clear of the others along the ray. Haze of two things in one
+    by depth. That is right where an object is solid, or clear of the others along the ray. Haze of two objects in one
     place is not mixed: what is nearer on average, by the depth of each, comes first (`merged` mixes voxels). Meshes
     are before and behind fields by the same rule.
 
-    What lies around a field, layers or an outer field, is taken of the first thing that has it, and the colour behind
-    all of the first thing. One thread at a time uses a Stage.
+    What lies around a field, layers or an outer field, is taken of the first object that has it, and the colour behind
+    all of the first object. One thread at a time uses a Stage.
 
     References: Porter and Duff, "Compositing Digital Images" (SIGGRAPH 1984).
 
@@ -104,10 +105,10 @@ class Stage(HeldOnDevice):
         frame = stage.render(camera)
 
     Args:
-        device: Warp device. None is that of the first thing, or for files CUDA where there is one.
+        device: Warp device. None is that of the first object, or for files CUDA where there is one.
 
     Attributes:
-        device: Warp device, None before there is a thing.
+        device: Warp device, None before there is an object.
         items: What it holds, by name, in the order in which it was added.
         time: Seconds at which places that move are taken.
     """
@@ -123,32 +124,33 @@ class Stage(HeldOnDevice):
     def __repr__(self) -> str:
         return f"Stage({listed(self.items, none='empty')})"
 
-    def __getitem__(self, name: str) -> Thing:
-        return self._item(name).thing
+    def __getitem__(self, name: str) -> SceneObject:
+        return self._item(name).scene_object
 
+    @renamed(scene_object="thing")
     def add(
         self,
         name: str,
-        thing: Thing | PathLike,
+        scene_object: SceneObject | PathLike,
         *,
         place: Place | PlaceFile | ArrayLike | PathLike | None = None,
         path: PathLike | None = None,
     ) -> Stage:
-        """Put a thing on the stage.
+        """Put an object on the stage.
 
         Args:
-            name: Its name, which no other thing has.
-            thing: A VoxelField, a SplatField, a SurfaceMesh or a Deformer of one, whose pose may change later; or the
-                file of a field or a mesh.
+            name: Its name, which no other object has.
+            scene_object: A VoxelField, a SplatField, a SurfaceMesh or a Deformer of one, whose pose may change later;
+                or the file of a field or a mesh.
             place: Where it stands: a Place, a PlaceFile, a similarity (4, 4), or a place file. None is where it is.
-            path: The file of the field or mesh, for `save`. None is `thing` where that is a file.
+            path: The file of the field or mesh, for `save`. None is `scene_object` where that is a file.
 
         Returns:
             This Stage.
 
         Raises:
             FileNotFoundError: If there is no such file.
-            ValueError: For a name that is there already or empty, another kind of thing, a place that is none, or a
+            ValueError: For a name that is there already or empty, another kind of object, a place that is none, or a
                 Deformer on another device.
         """
         if not isinstance(name, str) or not name.strip():
@@ -156,18 +158,21 @@ class Stage(HeldOnDevice):
         if name in self.items:
             raise InputError(f"the stage has an object {name!r} already: remove it first, or take another name")
         places = as_places(place)
-        if not isinstance(thing, VoxelField | SplatField | SurfaceMesh | Deformer):
-            path = require_file(checked_path(thing, "an object of a stage"), "field file")
-            thing = load_thing(path, device=self.device)
-        self.items[name] = StageItem(self._here(name, thing), places, None if path is None else pathlib.Path(path))
+        if not isinstance(scene_object, VoxelField | SplatField | SurfaceMesh | Deformer):
+            path = require_file(checked_path(scene_object, "an object of a stage"), "field file")
+            scene_object = load_object(path, device=self.device)
+        self.items[name] = StageItem(
+            self._here(name, scene_object), places, None if path is None else pathlib.Path(path)
+        )
         return self
 
-    def replace(self, name: str, thing: Thing) -> Stage:
-        """Put another thing in the place of one, such as a Deformer in that of its field.
+    @renamed(scene_object="thing")
+    def replace(self, name: str, scene_object: SceneObject) -> Stage:
+        """Put another object in the place of one, such as a Deformer in that of its field.
 
         Args:
-            name: Name of the thing.
-            thing: The other thing. Where its field is another one too, the stage does not know its file.
+            name: Name of the object.
+            scene_object: The other object. Where its field is another one too, the stage does not know its file.
 
         Returns:
             This Stage.
@@ -176,16 +181,16 @@ class Stage(HeldOnDevice):
             ValueError: As `add`, and for a name that is not there.
         """
         item = self._item(name)
-        field = thing.field if isinstance(thing, Deformer) else thing
+        field = scene_object.field if isinstance(scene_object, Deformer) else scene_object
         kept = item.path if field is item.field else None
-        self.items[name] = dataclasses.replace(item, thing=self._here(name, thing), path=kept)
+        self.items[name] = dataclasses.replace(item, scene_object=self._here(name, scene_object), path=kept)
         return self
 
     def remove(self, name: str) -> Stage:
-        """Take a thing off the stage.
+        """Take an object off the stage.
 
         Args:
-            name: Name of the thing.
+            name: Name of the object.
 
         Returns:
             This Stage.
@@ -198,10 +203,10 @@ class Stage(HeldOnDevice):
         return self
 
     def place(self, name: str, place: Place | PlaceFile | ArrayLike | PathLike | None) -> Stage:
-        """Put a thing elsewhere.
+        """Put an object elsewhere.
 
         Args:
-            name: Name of the thing.
+            name: Name of the object.
             place: As for `add`.
 
         Returns:
@@ -214,10 +219,10 @@ class Stage(HeldOnDevice):
         return self
 
     def hide(self, name: str, hidden: bool = True) -> Stage:
-        """Show a thing no more, or again: it is neither rendered nor merged.
+        """Show an object no more, or again: it is neither rendered nor merged.
 
         Args:
-            name: Name of the thing.
+            name: Name of the object.
             hidden: False shows it again.
 
         Returns:
@@ -241,7 +246,7 @@ class Stage(HeldOnDevice):
 
     @property
     def up(self) -> np.ndarray:
-        """(3,) unit vector: what is up for the first thing."""
+        """(3,) unit vector: what is up for the first object."""
         item = next(iter(self._shown().values()))
         return self._placed(item).rotation @ item.field.up
 
@@ -258,16 +263,16 @@ class Stage(HeldOnDevice):
 
         Args:
             camera: The camera, in the coordinates of the stage.
-            background: Colour behind the scene, a name or (3,) in [0, 1]. None is what lies around the first thing that
-                has surroundings, or else the first thing's own colour.
-            supersampling: Rays along each side of a pixel. None is that of the thing which takes most: of meshes two.
+            background: Colour behind the scene, a name or (3,) in [0, 1]. None is what lies around the first object
+                that has surroundings, or else the first object's own colour.
+            supersampling: Rays along each side of a pixel. None is that of the object which takes most: of meshes two.
             antialias: Of splats only; see `SplatField.render`. None is each field's own.
             step_scale: Of voxels only: how many times as long as its own the march steps of each field are, above 0.
                 More than 1 is faster and coarser.
 
         Returns:
             The frame, its arrays on the device. Depth is in world units of the stage, the mean of what is seen, each
-            thing by the light that comes from it; masks are those of Deformers, dimmed by what is before them.
+            object by the light that comes from it; masks are those of Deformers, dimmed by what is before them.
 
         Raises:
             ValueError: For a stage that shows nothing, and as `Deformer.render`.
@@ -295,39 +300,39 @@ class Stage(HeldOnDevice):
         return average_frame(frame, side).seen_by(camera, None if model else color, background)
 
     def _view(self, item: StageItem, camera: Camera, antialias: bool | None, step_scale: float) -> Frame:
-        """What a camera of the stage sees of a thing alone, on black."""
+        """What a camera of the stage sees of an object alone, on black."""
         options: dict[str, Any] = {}
         if isinstance(item.field, SplatField):
             options = {"antialias": antialias}
         elif isinstance(item.field, VoxelField) and step_scale != 1.0:
             options = {"step": step_scale * item.field.step}
         seen = seen_from(self._placed(item), camera)
-        return item.thing.render(seen, background="transparent", supersampling=1, **options)
+        return item.scene_object.render(seen, background="transparent", supersampling=1, **options)
 
     @in_turn
     def _composed(
         self, frames: Sequence[Frame], scales: Sequence[float], color: np.ndarray, unit: float | None
     ) -> tuple[Frame, wp.array]:
-        """Frames of several things as one before a colour, and its depth in units; an empty array for None of them."""
+        """Frames of several objects as one before a colour, and its depth in units; an empty array for None of them."""
         assert self.device is not None
-        device, count, things = self.device, frames[0].width * frames[0].height, len(frames)
+        device, count, objects = self.device, frames[0].width * frames[0].height, len(frames)
         names = [name for name in MASK_NAMES if any(name in frame.arrays for frame in frames)]
-        seen = {name: empty_array(things * count, part_type(name), device) for name in PART_NAMES}
-        masks = wp.zeros(len(names) * things * count, dtype=wp.float32, device=device)
+        seen = {name: empty_array(objects * count, part_type(name), device) for name in PART_NAMES}
+        masks = wp.zeros(len(names) * objects * count, dtype=wp.float32, device=device)
         for index, frame in enumerate(frames):
             for name, array in seen.items():
                 wp.copy(array, frame.arrays[name], dest_offset=index * count, count=count)
             for place, name in enumerate(names):
                 if name in frame.arrays:
-                    offset = (place * things + index) * count
+                    offset = (place * objects + index) * count
                     wp.copy(masks, frame.arrays[name], dest_offset=offset, count=count)
         made = picture_arrays(count, PART_NAMES, device)
         around = empty_array(0 if unit is None else count, wp.float32, device)
         mask = empty_array((len(names), count), wp.float32, device)
         sizes = wp.array(np.asarray(scales, np.float32), dtype=wp.float32, device=device)
-        behind, stacked = wp.vec3(*map(float, color)), [array.reshape((things, count)) for array in seen.values()]
-        inputs = [sizes, behind, unit or 1.0, *stacked, masks.reshape((len(names), things, count))]
-        launch(compose_things, count, inputs, [*(made[name] for name in PART_NAMES), around, mask], device=device)
+        behind, stacked = wp.vec3(*map(float, color)), [array.reshape((objects, count)) for array in seen.values()]
+        inputs = [sizes, behind, unit or 1.0, *stacked, masks.reshape((len(names), objects, count))]
+        launch(compose_objects, count, inputs, [*(made[name] for name in PART_NAMES), around, mask], device=device)
         made |= {name: mask[place] for place, name in enumerate(names)}
         return Frame(frames[0].width, frames[0].height, **made), around
 
@@ -361,14 +366,14 @@ class Stage(HeldOnDevice):
         """
         path, stage = require_file(path, "scene file"), cls(device=resolve_device(device))
         for entry in read_stage_file(path):
-            thing: Thing = load_thing(path.parent / entry["field"], device=stage.device)
+            scene_object: SceneObject = load_object(path.parent / entry["field"], device=stage.device)
             if "deformation" in entry:
                 try:
                     options, edits, poses = read_deformation(entry["deformation"])
-                    thing = Deformer(thing, edits, **options).pose(poses)
+                    scene_object = Deformer(scene_object, edits, **options).pose(poses)
                 except ValueError as error:
                     raise InputError(f"{path}: object {entry['name']!r}: {error}") from None
-            stage.add(entry["name"], thing, place=entry["place"], path=path.parent / entry["field"])
+            stage.add(entry["name"], scene_object, place=entry["place"], path=path.parent / entry["field"])
             stage.hide(entry["name"], entry.get("hidden", False))
         return stage
 
@@ -379,7 +384,7 @@ class Stage(HeldOnDevice):
 
         Voxels are looked up anew on one grid, as `bake` does it: densities add up, and colours are their mean by
         density. Splats are moved and put into one list, those of lower degrees with zeros. The rest, what lies around
-        too, is the first thing's that has surroundings, or else the first thing's.
+        too, is the first object's that has surroundings, or else the first object's.
 
         Args:
             resolution: Of voxels: how many along the longest side of all. None takes voxels as small as the smallest.
@@ -391,7 +396,7 @@ class Stage(HeldOnDevice):
 
         Raises:
             ValueError: For a stage that shows nothing or a mesh, voxels and splats without `convert`, surroundings of a
-                thing that is not in its own place, or a grid that memory does not hold.
+                object that is not in its own place, or a grid that memory does not hold.
         """
         items: list[Any] = list(self._shown().values())
         meshes = [name for name, each in self._shown().items() if isinstance(each.field, SurfaceMesh)]
@@ -417,11 +422,11 @@ class Stage(HeldOnDevice):
         """`merged` as splats."""
         fields: list[SplatField] = []
         for item in items:
-            thing: Any = item.thing
+            scene_object: Any = item.scene_object
             if isinstance(item.field, VoxelField):
-                thing = convert(bake(thing) if isinstance(thing, Deformer) else thing)
-                require_type(thing, SplatField, "convert must make")
-            fields.append(thing.baked() if isinstance(thing, SplatDeformer) else thing)
+                scene_object = convert(bake(scene_object) if isinstance(scene_object, Deformer) else scene_object)
+                require_type(scene_object, SplatField, "convert must make")
+            fields.append(scene_object.baked() if isinstance(scene_object, SplatDeformer) else scene_object)
         places = [self._placed(item) for item in items]
         moved = [
             placed(field.contents, place.rotation, place.position, place.scale)
@@ -437,7 +442,7 @@ class Stage(HeldOnDevice):
 
     def _merged_voxels(self, items: list[Any], options: dict[str, Any], resolution: int | None) -> VoxelField:
         """`merged` as voxels; options: of views of it."""
-        boxes = [self._placed(item).moved(box_corners(_reached(item.thing))) for item in items]
+        boxes = [self._placed(item).moved(box_corners(_reached(item.scene_object))) for item in items]
         low, high = np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))
         longest = float((high - low).max())
         side = min(self._placed(item).scale * float(item.field.voxel_size.min()) for item in items)
@@ -453,43 +458,46 @@ class Stage(HeldOnDevice):
         return mixed_field(baked, low, side, shape, self.device, **options)
 
     def _baked(self, item: StageItem, origin: np.ndarray, side: float) -> VoxelField:
-        """A thing of voxels where it stands, on the grid of all of them. origin: (3,) its lower corner."""
-        thing, place = item.thing, self._placed(item)
-        reached = _reached(thing)
+        """An object of voxels where it stands, on the grid of all of them. origin: (3,) its lower corner."""
+        scene_object, place = item.scene_object, self._placed(item)
+        reached = _reached(scene_object)
         pad = STAND_OFF * float((reached[1] - reached[0]).max())
         cage = Cage.box(reached[0] - pad, reached[1] + pad)
         edits: list[CageEdit] = []
         poses: list[Cage | None] = []
         options: dict[str, Any] = {"coordinates": "mean_value", "resolution": PLACING_CELLS}
-        if isinstance(thing, Deformer):  # the move is one more edit, so that voxels are looked up once
-            edits, poses = thing.edits, _poses(thing)
-            options = {"coordinates": thing.coordinates, "resolution": thing.resolution or STAND_IN_RESOLUTION}
-            options["density"] = thing.density
+        if isinstance(scene_object, Deformer):  # the move is one more edit, so that voxels are looked up once
+            edits, poses = scene_object.edits, _poses(scene_object)
+            options = {
+                "coordinates": scene_object.coordinates,
+                "resolution": scene_object.resolution or STAND_IN_RESOLUTION,
+            }
+            options["density"] = scene_object.density
         deformer = Deformer(item.field, [*edits, CageEdit(cage)], device=self.device, **options)
         deformer.pose([*poses, cage.with_vertices(place.moved(cage.vertices))])
         box = place.moved(box_corners(reached))
         begin, end = _cells(np.stack([box.min(axis=0), box.max(axis=0)]), origin, side)
         baked = bake(deformer, int((end - begin).max()), np.stack([origin + side * begin, origin + side * end]))
-        if options.get("density") == "paper" and place.scale != 1.0:  # a thing looks the same at any size
+        if options.get("density") == "paper" and place.scale != 1.0:  # an object looks the same at any size
             opaque = baked.grid.density.numpy() / np.float32(place.scale)
             return VoxelField(baked.bounds, baked.grid.links, opaque, baked.grid.sh, device=self.device)
         return baked
 
-    def _here(self, name: str, thing: Any) -> Thing:
-        """A thing on the stage's device, which the first one decides."""
-        field = thing.field if isinstance(thing, Deformer) else thing
+    def _here(self, name: str, scene_object: Any) -> SceneObject:
+        """An object on the stage's device, which the first one decides."""
+        field = scene_object.field if isinstance(scene_object, Deformer) else scene_object
         if not isinstance(field, VoxelField | SplatField | SurfaceMesh):
             raise InputError(
                 "a stage holds VoxelFields, SplatFields, SurfaceMeshes, Deformers of those and their files, got "
                 f"{type(field).__name__}"
             )
         if self.device is None:
-            self.device = thing.device
-        if not isinstance(thing, Deformer):
-            return thing.to(self.device)
-        if thing.device != self.device:
-            raise InputError(f"object {name!r} is a Deformer on {thing.device}, the stage is on {self.device}")
-        return thing
+            self.device = scene_object.device
+        if not isinstance(scene_object, Deformer):
+            return scene_object.to(self.device)
+        if scene_object.device != self.device:
+            raise InputError(f"object {name!r} is a Deformer on {scene_object.device}, the stage is on {self.device}")
+        return scene_object
 
     def _item(self, name: str) -> StageItem:
         if name not in self.items:
@@ -507,9 +515,9 @@ class Stage(HeldOnDevice):
         return shown
 
 
-def _reached(thing: Thing) -> np.ndarray:
-    """(2, 3) box of all voxels of a thing, posed, in its own coordinates."""
-    return thing.reached_bounds if isinstance(thing, Deformer) else thing.bounds
+def _reached(scene_object: SceneObject) -> np.ndarray:
+    """(2, 3) box of all voxels of an object, posed, in its own coordinates."""
+    return scene_object.reached_bounds if isinstance(scene_object, Deformer) else scene_object.bounds
 
 
 def _cells(box: np.ndarray, origin: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
@@ -524,7 +532,7 @@ def _poses(deformer: Deformer) -> list[Cage | None]:
 
 
 def _item_json(name: str, item: StageItem, folder: pathlib.Path) -> dict[str, Any]:
-    """A thing as the file has it."""
+    """An object as the file has it."""
     if item.path is None:
         raise InputError(f"the file of {name!r} is not known: save its field, and add it with path=FILE")
     try:
@@ -534,9 +542,9 @@ def _item_json(name: str, item: StageItem, folder: pathlib.Path) -> dict[str, An
     content: dict[str, Any] = {"name": name, "field": field, "place": item.places.to_json()}
     if item.hidden:
         content["hidden"] = True
-    if isinstance(thing := item.thing, Deformer):
-        options = {name: getattr(thing, name) for name in ("coordinates", "resolution", "density", "store")}
-        if isinstance(thing, SplatDeformer):
-            options["map"] = thing.map
-        content["deformation"] = deformation_json(options, thing.edits, _poses(thing))
+    if isinstance(scene_object := item.scene_object, Deformer):
+        options = {name: getattr(scene_object, name) for name in ("coordinates", "resolution", "density", "store")}
+        if isinstance(scene_object, SplatDeformer):
+            options["map"] = scene_object.map
+        content["deformation"] = deformation_json(options, scene_object.edits, _poses(scene_object))
     return content

@@ -9,6 +9,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "falloff": "walls_share",
         "fragments": "fragment_voxels",
         "maps": "carried_points",
-        "words": "EditWords",
+        "spec": "EditSpec",
     },
 )

@@ -14,7 +14,7 @@ from ..core.checks import checked_number, renamed, warn_caller
 from ..errors import InputError
 from ..mesh.validity import require_usable
 from ..view.camera import Camera
-from .words import EditWords
+from .spec import EditSpec
 
 #: Walls that a falloff may hold: those that cut matter, and those that a pose leaves in place.
 HELD = ("cut", "still")
@@ -110,12 +110,12 @@ def picture_cells(camera: Camera) -> int:
     return min(max(cells, MIN_CELLS), MAX_CELLS)
 
 
-def edit_of_words(words: EditWords, cage: Cage) -> CageEdit:
+def edit_from_spec(words: EditSpec, cage: Cage) -> CageEdit:
     """The edit that words describe, of their cage at rest."""
     return CageEdit(cage, words.keep, words.remove, words.falloff or 0.0, words.held, words.fragments or 0.0)
 
 
-def words_of_edit(edit: CageEdit, cage: Any, posed: Any) -> EditWords:
+def edit_spec(edit: CageEdit, cage: Any, posed: Any) -> EditSpec:
     """The words of an edit; cage and posed: what names its cage at rest and its pose, None for one that removes."""
     held = edit.held if edit.falloff else "cut"
-    return EditWords(cage, posed, edit.keep_source, edit.remove, edit.falloff, held, edit.fragments)
+    return EditSpec(cage, posed, edit.keep_source, edit.remove, edit.falloff, held, edit.fragments)

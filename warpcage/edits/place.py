@@ -1,4 +1,4 @@
-"""Where a thing stands in a stage: a place, places at times, and their files."""
+"""Where an object stands in a stage: a place, places at times, and their files."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from ..core.names import LOOPS, Easing, require_name
 from ..errors import InputError
 from ..view.camera import Camera
 from ..view.motion import axis_rotation, value_at
-from .words import Checker, anything, checked_words
+from .spec import Checker, anything, checked_keys
 
 _FORMAT, _VERSION = "warpcage place", 1
 
 #: Words of a place, and of a file that has places at times.
 _WORDS: dict[str, Checker] = dict.fromkeys(("position", "turn", "scale", "matrix"), anything)
-PLACE_WORDS = frozenset((*_WORDS, "keys"))
+PLACE_KEYS = frozenset((*_WORDS, "keys"))
 
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """Where a thing stands: it is scaled, then turned, about the origin of its own coordinates, then moved.
+    """Where an object stands: it is scaled, then turned, about the origin of its own coordinates, then moved.
 
     Args:
         position: (3,) where the origin of its coordinates goes, world units of the stage.
@@ -53,7 +53,7 @@ class Place:
         """The place of a similarity, as other programs have it.
 
         Args:
-            matrix: (4, 4), from the coordinates of the thing to those of the stage.
+            matrix: (4, 4), from the coordinates of the object to those of the stage.
 
         Returns:
             The place.
@@ -83,16 +83,16 @@ class Place:
 
     @property
     def matrix(self) -> np.ndarray:
-        """(4, 4) float64 from the coordinates of the thing to those of the stage."""
+        """(4, 4) float64 from the coordinates of the object to those of the stage."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.scale * self.rotation, self.position
         return matrix
 
     def moved(self, points: ArrayLike) -> np.ndarray:
-        """Where points of the thing are in the stage.
+        """Where points of the object are in the stage.
 
         Args:
-            points: (n, 3), in the coordinates of the thing.
+            points: (n, 3), in the coordinates of the object.
 
         Returns:
             (n, 3) float64, world units of the stage.
@@ -101,7 +101,7 @@ class Place:
 
 
 class PlaceFile:
-    """A place, or places at times between which a thing moves, as a place file (.json) has it.
+    """A place, or places at times between which an object moves, as a place file (.json) has it.
 
     A file of one place is `{"position": [1, 0, 0], "turn": [0, 0, 90], "scale": 0.5}`, each of them optional, or
     `{"matrix": ...}`, (4, 4). A file of several is `{"keys": [{"time": 0, "position": ..., "easing": "smooth"}, ...]}`,
@@ -202,7 +202,7 @@ class PlaceFile:
         content = {word: value for word, value in content.items() if word not in ("format", "version")}
         if "keys" not in content:
             return cls(_place(content, {}))
-        given = checked_words(content, {"keys": anything, "loop": anything}, "a place file")
+        given = checked_keys(content, {"keys": anything, "loop": anything}, "a place file")
         if not isinstance(given["keys"], list) or not given["keys"]:
             raise InputError(f"'keys' must be a list of at least one place, got {shown(given['keys'])}")
         places, easings = {}, {}
@@ -247,7 +247,7 @@ class PlaceFile:
 
 
 def seen_from(place: Place, camera: Camera) -> Camera:
-    """A camera of the stage in the coordinates of a thing there: rays are the same, depths are shorter by the scale."""
+    """A camera of the stage in the coordinates of an object there: the same rays, depths shorter by the scale."""
     if place == Place():
         return camera
     pose = np.eye(4)
@@ -265,9 +265,7 @@ def near_turn(turn: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 def _place(content: Mapping[str, Any], beside: dict[str, Checker]) -> Place:
     """A place of JSON; beside: other words that its object may have."""
-    given = {
-        word: value for word, value in checked_words(content, _WORDS | beside, "a place").items() if word in _WORDS
-    }
+    given = {word: value for word, value in checked_keys(content, _WORDS | beside, "a place").items() if word in _WORDS}
     if "matrix" not in given:
         return Place(**given)
     if len(given) > 1:

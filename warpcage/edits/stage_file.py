@@ -1,4 +1,4 @@
-"""Stage files: the things of a scene, where they stand, their cages and poses, and the names of their fields' files."""
+"""Stage files: the objects of a scene, where they stand, their cages and poses, and their files."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, errors_of, read_document, require_file
+from ..core.names import renamed_keys
 from ..errors import InputError
-from .edits import CageEdit, edit_of_words, words_of_edit
+from .edits import CageEdit, edit_from_spec, edit_spec
 from .place import PlaceFile
-from .words import Checker, EditWords, anything, checked_words
+from .spec import Checker, EditSpec, anything, checked_keys
 
-_FORMAT, _VERSION = "warpcage stage", 1
+#: Version 1 calls the objects things; both are read.
+_FORMAT, _VERSION = "warpcage stage", 2
 
 #: How a stage file ends.
 STAGE_ENDING = ".stage.json"
 
-#: Words of a thing, and options of Deformers that the file keeps.
-_THING: dict[str, Checker] = dict.fromkeys(("name", "field", "place", "hidden", "deformation"), anything)
+#: Words of an object, and options of Deformers that the file keeps.
+_OBJECT: dict[str, Checker] = dict.fromkeys(("name", "field", "place", "hidden", "deformation"), anything)
 _OPTIONS: dict[str, Checker] = dict.fromkeys(("coordinates", "resolution", "density", "store", "map"), anything)
 
 
@@ -33,27 +35,33 @@ def free_name(name: str, taken: Collection[str]) -> str:
     return next(each for each in names if each not in taken)
 
 
-def write_stage_file(path: pathlib.Path, things: Iterable[Mapping[str, Any]]) -> None:
-    """Write things, as JSON has them, a line each, to be read and changed; whole or not at all."""
+def write_stage_file(path: pathlib.Path, objects: Iterable[Mapping[str, Any]]) -> None:
+    """Write objects, as JSON has them, a line each, to be read and changed; whole or not at all."""
     if not path.name.lower().endswith(STAGE_ENDING):
         raise InputError(f"a scene file ends in {STAGE_ENDING}, got {path.name!r}")
-    lines = [json.dumps(thing) for thing in things]
+    lines = [json.dumps(scene_object) for scene_object in objects]
     if not lines:
         raise InputError("an empty scene is not written: add an object first")
-    head = f'{{"format": "{_FORMAT}", "version": {_VERSION}, "things": [\n '
+    head = f'{{"format": "{_FORMAT}", "version": {_VERSION}, "objects": [\n '
     with atomic_path(path) as temporary:
         temporary.write_text(head + ",\n ".join(lines) + "]}\n", encoding="utf-8")
 
 
 def read_stage_file(path: PathLike) -> list[dict[str, Any]]:
-    """The things of a stage file, with a PlaceFile each as "place"; no field is read."""
+    """The objects of a stage file, with a PlaceFile each as "place"; no field is read."""
     path = require_file(path, "scene file")
     with errors_of(path, "scene file"):
         content = read_document(path, "scene file", _FORMAT, _VERSION)
-        things = content.get("things")
-        if not isinstance(things, list) or not things or not all(isinstance(thing, dict) for thing in things):
-            raise InputError("'things' must be a list of at least one object")
-        entries = [checked_words(thing, _THING, f"object {number}") for number, thing in enumerate(things, 1)]
+        objects = renamed_keys(content, {"objects": "things"}).get("objects")
+        if (
+            not isinstance(objects, list)
+            or not objects
+            or not all(isinstance(scene_object, dict) for scene_object in objects)
+        ):
+            raise InputError("'objects' must be a list of at least one object")
+        entries = [
+            checked_keys(scene_object, _OBJECT, f"object {number}") for number, scene_object in enumerate(objects, 1)
+        ]
         for number, entry in enumerate(entries, 1):
             for word in ("name", "field"):
                 if not isinstance(entry.get(word), str) or not entry[word].strip():
@@ -69,7 +77,7 @@ def deformation_json(
     words = []
     for edit, posed in zip(edits, poses, strict=True):
         cage = {"vertices": edit.cage.vertices.tolist(), "faces": edit.cage.faces.tolist()}
-        words.append(words_of_edit(edit, cage, None if posed is None else posed.vertices.tolist()))
+        words.append(edit_spec(edit, cage, None if posed is None else posed.vertices.tolist()))
     return {**options, "edits": [each.to_json() for each in words]}
 
 
@@ -77,9 +85,9 @@ def read_deformation(content: Any) -> tuple[dict[str, Any], list[CageEdit], list
     """Options, edits and poses of what `deformation_json` made."""
     try:
         options = {name: value for name, value in content.items() if name != "edits"}
-        words = [EditWords.from_json(entry, f"edit {number}") for number, entry in enumerate(content["edits"], 1)]
-        checked_words(options, _OPTIONS, "it")
-        edits = [edit_of_words(each, Cage(each.cage["vertices"], each.cage["faces"])) for each in words]
+        words = [EditSpec.from_json(entry, f"edit {number}") for number, entry in enumerate(content["edits"], 1)]
+        checked_keys(options, _OPTIONS, "it")
+        edits = [edit_from_spec(each, Cage(each.cage["vertices"], each.cage["faces"])) for each in words]
         poses = [
             None if each.posed is None else edit.cage.with_vertices(np.asarray(each.posed))
             for edit, each in zip(edits, words, strict=True)

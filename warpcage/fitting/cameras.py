@@ -176,7 +176,7 @@ POINTS_SHARE = 0.6
 #: Bytes of a ray's record, and of what is around the field for it.
 RAY_BYTES, AROUND_BYTES = 12 * RECORD, (12 + 16) * (1 + NUMBERS)
 
-#: Fills what is behind each of a batch's TrainingRays, and what is before it, where there is such a thing.
+#: Fills what is behind each of a batch's TrainingRays, and what is before it, where there is such an object.
 Gather = Callable[[Any, wp.array, "wp.array | None"], None]
 
 #: Looks at every camera with tiles of TrainingRays, of which (n + 1,) say where each view's begin.

@@ -20,7 +20,7 @@ from .raycast import CarriedMesh
 from .scenes import LIGHTS, mixed_colors, painted_box, painted_plane, planks, smooth_noise, wood
 from .viewpoints import require_counts
 
-#: Heights of what things stand on, and of ceilings.
+#: Heights of what objects stand on, and of ceilings.
 GROUND, TABLE_TOP, CEILING = -1.0, -0.85, 3.0
 
 #: The light's way through the hole in a ceiling: its middle, and half its sides.
@@ -226,12 +226,12 @@ def _speckled(parts: Sequence[Part], random: np.random.Generator) -> Model:
 
 
 def _table() -> Model:
-    things = [
+    objects = [
         cylinder((0.9, -0.8, TABLE_TOP), (0.9, -0.8, -0.45), 0.2, (0.15, 0.35, 0.7), segments=24),
         box((-1.2, 0.5, TABLE_TOP), (-0.7, 1.2, -0.73), (0.7, 0.15, 0.2)),
     ]
     room = _room((-4.6, -4.4), (4.6, 4.4), (0.86, 0.85, 0.82))
-    return merged([room, _table_top(), _standing("animal", 0.8, TABLE_TOP), joined(things)])
+    return merged([room, _table_top(), _standing("animal", 0.8, TABLE_TOP), joined(objects)])
 
 
 def _table_top() -> Model:
@@ -239,14 +239,14 @@ def _table_top() -> Model:
 
 
 def _corner() -> Model:
-    things = [
+    objects = [
         box((-2.6, 1.1, GROUND), (-1.5, 2.2, -0.2), (0.62, 0.44, 0.22)),
         ball((-2.0, -0.6, -0.65), 0.35, (0.85, 0.4, 0.1)),
         cylinder((1.2, 2.2, GROUND), (1.2, 2.2, 1.2), 0.09, (0.2, 0.2, 0.22), segments=16),
         ball((1.2, 2.2, 1.35), 0.35, (0.95, 0.9, 0.7)),
     ]
     return merged(
-        [_room((-3.1, -7.0), (7.0, 3.1), (0.84, 0.86, 0.85)), _standing("chair", 1.0, GROUND), joined(things)]
+        [_room((-3.1, -7.0), (7.0, 3.1), (0.84, 0.86, 0.85)), _standing("chair", 1.0, GROUND), joined(objects)]
     )
 
 

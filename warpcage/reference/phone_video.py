@@ -137,7 +137,7 @@ def write_phone_video(
 
 
 def table_scene() -> Model:
-    """The excavator of bricks on a table with a patchwork cloth and things around it, in a room of coloured panels.
+    """The excavator of bricks on a table with a patchwork cloth and objects around it, in a room of coloured panels.
     +z is up, the excavator around the origin."""
     rng = np.random.default_rng(5)
     vertices, faces, colors = brick_model()
@@ -150,7 +150,7 @@ def table_scene() -> Model:
         parts.append(_patchwork(ROOM * (out - along) + [0, 0, -3.5], 2 * ROOM * along, [0, 0, 8.0], 14, rng))
     parts.append(_patchwork([-ROOM, -ROOM, -3.5], [2 * ROOM, 0, 0], [0, 2 * ROOM, 0], 14, rng))
     parts.append(_patchwork([-ROOM, -ROOM, 4.5], [2 * ROOM, 0, 0], [0, 2 * ROOM, 0], 10, rng))
-    parts.append(joined(_things(rng)))
+    parts.append(joined(_objects(rng)))
     return merged(parts)
 
 
@@ -166,7 +166,7 @@ def _patchwork(corner, side, other, count: int, rng: np.random.Generator) -> Mod
     return vertices, faces.astype(np.int32), colors.astype(np.float32)
 
 
-def _things(rng: np.random.Generator) -> Iterator[Part]:
+def _objects(rng: np.random.Generator) -> Iterator[Part]:
     """Boxes and balls around the table's edge."""
     for turn in np.radians(np.arange(15, 375, 40)):
         x, y = 2.2 * np.cos(turn), 2.2 * np.sin(turn)

@@ -43,7 +43,7 @@ RAY_WORK = 60
 
 
 class SurfaceMesh(HeldOnDevice):
-    """A triangle mesh with its colours, as a thing of a `Stage`; `Deformer(mesh, cage)` poses its vertices by a cage.
+    """A triangle mesh with its colours, as an object of a `Stage`; `Deformer(mesh, cage)` poses its vertices by a cage.
 
     Colours are shown as they are, without light: what warpcage exports, and a scan, has the light of its place in them.
     Only where a mesh has one colour for all, or none, a headlight at the camera shades it, so that its shape is seen.
@@ -316,14 +316,14 @@ def is_mesh_file(path: str | os.PathLike[str]) -> bool:
 
 
 #: What a stage may hold, without cages.
-AnyThing: TypeAlias = AnyField | SurfaceMesh
+AnyObject: TypeAlias = AnyField | SurfaceMesh
 
 
-def load_thing(path: PathLike, *, device: wp.DeviceLike = None) -> AnyThing:
+def load_object(path: PathLike, *, device: wp.DeviceLike = None) -> AnyObject:
     """Read what a stage may hold: a field of voxels or of splats, or a mesh, which the file tells."""
     return SurfaceMesh.load(path, device=device) if is_mesh_file(path) else load_field(path, device=device)
 
 
-def thing_size(thing: AnyThing) -> str:
+def object_size(scene_object: AnyObject) -> str:
     """How large a field or mesh is, in words such as "12000 triangles"."""
-    return counted(len(thing), "triangle") if isinstance(thing, SurfaceMesh) else field_size(thing)
+    return counted(len(scene_object), "triangle") if isinstance(scene_object, SurfaceMesh) else field_size(scene_object)

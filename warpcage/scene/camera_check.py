@@ -30,7 +30,7 @@ MIN_AGREEING = 0.5
 #: Groups of more than this share of the pictures that are torn off are refused; smaller ones are left out.
 MAX_TORN = 0.1
 
-#: Groups between which there are fewer matches than this share of those inside the smaller one show different things.
+#: Groups between which there are fewer matches than this share of those inside the smaller one show different objects.
 MIN_ACROSS = 0.05
 
 #: Pictures that a message names.
@@ -149,7 +149,7 @@ MAX_ALIKE, FEW = 8, 100
 #: Fewest matches that a geometry of two pictures alone explains, by so many tries, each within so many pixels of it.
 MIN_MATCHES, TRIES, PIXELS = 16, 200, 1.0
 
-#: Pictures of which fewer of the matches fit one geometry show things that only look alike; as descriptors do that are
+#: Pictures of which fewer of the matches fit one geometry show objects that only look alike; as descriptors do that are
 #: not nearer than the next by this ratio (Lowe 2004).
 MIN_INLIERS, RATIO = 0.5, 0.8
 

@@ -226,7 +226,7 @@ AT_SIDE = 4
 STEPS = 4
 
 #: What messages call each kind of plane.
-PLANE_WORDS = {"ground": "ground plane", "wall": "wall", "any": "plane"}
+PLANE_NAMES = {"ground": "ground plane", "wall": "wall", "any": "plane"}
 
 
 @reports_progress
@@ -473,7 +473,7 @@ def _clicks(field: DensityField, point, pixel, camera) -> np.ndarray | None:
 def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
     """The plane of a kind that the clicked matter, or all in the region, stands on."""
     require_name(kind, PLANES, "plane")
-    word, voxel = PLANE_WORDS[kind], field.voxel_size
+    word, voxel = PLANE_NAMES[kind], field.voxel_size
     whole = root_field(field)
     planes = find_planes(whole, kind, up=up)
     if not planes:
@@ -515,7 +515,7 @@ def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
 
 
 def _plane_word(plane: str | Plane) -> str:
-    return PLANE_WORDS[plane] if isinstance(plane, str) else "plane"
+    return PLANE_NAMES[plane] if isinstance(plane, str) else "plane"
 
 
 def _on_plane(click: np.ndarray, plane: Plane, clearance: float, kind: str | Plane) -> str:

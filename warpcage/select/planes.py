@@ -1,4 +1,4 @@
-"""Planes that things stand on: floors, table tops and walls, found in a field's surface."""
+"""Planes that objects stand on: floors, table tops and walls, found in a field's surface."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SLAB_VOXELS = 1.5
 MAX_SIDE = 96
 
 #: A plane holds at least this share of the surface, and so many points, of which this share hangs together: tops of
-#: things that happen to lie in one plane do not.
+#: objects that happen to lie in one plane do not.
 MIN_SHARE, MIN_POINTS, MIN_PATCH = 0.03, 30, 0.5
 
 #: Where a cut goes above a plane: standard deviations of the heights of its points, and voxels on top, over which what
@@ -306,7 +306,7 @@ def _fitted(p, n, w, normal, offset, slab, *, first: float = _FIRST_SLAB) -> tup
 
 def plane_below(planes: Sequence[Plane], clicks: np.ndarray, voxel_size: ArrayLike, grown: Grown) -> Plane | None:
     """The plane that something clicked at places (n, 3) stands on; None where the clicks are above none.
-    grown: takes a plane and returns what of the thing is above it, (m, 3) world units."""
+    grown: takes a plane and returns what of the object is above it, (m, 3) world units."""
     heights = [(float(np.min(plane.heights(clicks))), plane) for plane in planes]
     below = [(height, plane) for height, plane in heights if height > plane.clearance(voxel_size)]
     for _, plane in sorted(below, key=lambda each: each[0]):  # the nearest that goes on around it, else the largest

@@ -264,7 +264,7 @@ class NodeSelection:
     Args:
         field: The field, a VoxelField or the like; of splats their matter on a grid.
         mask: (nx, ny, nz) bool, the chosen nodes.
-        notes: A line for each thing that was left out.
+        notes: A line for each part that was left out.
         floor: Plane that the chosen nodes lie above, where they were cut off what they stand on; a cage around them
             stays above it too. None where they were not.
     """

@@ -33,7 +33,7 @@ class SelectionContents:
     bounds: np.ndarray  # (2, 3) float64 box of the field, world units
     occupied: str  # digest of which voxels of the field hold values
     mask: np.ndarray  # (nx, ny, nz) bool, the chosen voxels
-    notes: tuple[str, ...]  # a line for each thing that was left out
+    notes: tuple[str, ...]  # a line for each part that was left out
     floor: tuple[np.ndarray, float] | None  # normal (3,) and offset of the plane that they were cut off at, world units
 
 

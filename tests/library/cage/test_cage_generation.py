@@ -44,7 +44,7 @@ def shapes():
 
 @pytest.mark.parametrize(
     ("shape", "count"),
-    [("sphere", 30), ("L", 50), ("torus", 60), pytest.param("rod", 40, marks=pytest.mark.nightly), ("plate", 60),
+    [("sphere", 30), ("L", 50), ("torus", 60), ("rod", 40), ("plate", 60),
      ("far apart", 60), pytest.param("close by", 60, marks=pytest.mark.nightly)],
 )  # fmt: skip
 def test_cages_of_meshes_enclose_and_are_clean(shape, count):

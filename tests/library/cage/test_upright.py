@@ -97,12 +97,12 @@ def test_animate_bake_and_check_find_it_too(files, tmp_path, capsys):
     np.testing.assert_allclose(found, wanted, atol=1e-5)
     capsys.readouterr()
 
-    for thing in ("@post.npz", "@mesh.obj"):
-        succeed(files, "check", "@rest_y.obj", "--object", thing, "--posed", "@posed_y.obj")
+    for scene_object in ("@post.npz", "@mesh.obj"):
+        succeed(files, "check", "@rest_y.obj", "--object", scene_object, "--posed", "@posed_y.obj")
         out, err = capsys.readouterr()
         assert "100.000" in next(row for row in out.splitlines() if " enclosed " in row)
         assert "has y up, and is turned" in err
-        assert run(files, "check", "@rest_y.obj", "--object", thing, "--cage-up", "z") == 1
+        assert run(files, "check", "@rest_y.obj", "--object", scene_object, "--cage-up", "z") == 1
         out, err = capsys.readouterr()
         assert "stands around its object" in out and "seems to have y up" in out
         assert out.splitlines()[-1].split("  ")[-1].strip() == "not as it stands"

@@ -21,12 +21,12 @@ def test_those_that_were_used_last_are_kept():
     assert dropped == ["B", "A", "C", "B"] and len(kept) == 0
 
 
-def test_things_that_grow_are_measured_again_and_drive_others_out():
+def test_values_that_grow_are_measured_again_and_drive_others_out():
     measured = []
 
-    def measure(thing):
-        measured.append(thing)
-        return len(thing)
+    def measure(value):
+        measured.append(value)
+        return len(value)
 
     kept = LRUCache(9, most_bytes=100, measure=measure)
     first, second = (kept.get(key, lambda: bytearray(30)) for key in "ab")

@@ -1,4 +1,4 @@
-"""Several things in one scene, against one field that holds them all, moved cameras, and the equations of places."""
+"""Several objects in one scene, against one field that holds them all, moved cameras, and the equations of places."""
 
 import json
 
@@ -33,14 +33,14 @@ def both_balls(device, resolution=60):
     return make_field(lambda x: ball(x, NEAR, 0.25) + ball(x, FAR, 0.25), sh, device=device, resolution=resolution)
 
 
-def two_things(device):
-    """The same two balls as two things, each around the origin of its own coordinates; voxels fall together."""
+def two_objects(device):
+    """The same two balls as two objects, each around the origin of its own coordinates; voxels fall together."""
     red, blue = colored_ball(device, RED), colored_ball(device, BLUE)
     return Stage().add("red", red, place=Place(NEAR)).add("blue", blue, place=Place(FAR))
 
 
 def seen_from(place, camera):
-    """The camera in the coordinates of a thing that stands in a place, by the inverse of its matrix."""
+    """The camera in the coordinates of an object that stands in a place, by the inverse of its matrix."""
     inverse = np.linalg.inv(place.matrix)
     pose = inverse @ camera.camera_to_world
     pose[:3, :3] *= place.scale
@@ -49,8 +49,8 @@ def seen_from(place, camera):
 
 @pytest.mark.parametrize("supersampling", [1, 2])
 @pytest.mark.parametrize("eye", [(2.5, 1.2, 1.0), (2.5, 0.0, 0.1), (-2.5, 0.0, 0.1)], ids=["beside", "blue", "red"])
-def test_two_things_are_seen_as_one_field_that_holds_both(eye, supersampling, device):
-    camera, stage = view(eye, size=48), two_things(device)
+def test_two_objects_are_seen_as_one_field_that_holds_both(eye, supersampling, device):
+    camera, stage = view(eye, size=48), two_objects(device)
     frame = stage.render(camera, background=(0.1, 0.6, 0.2), supersampling=supersampling)
     whole = both_balls(device).render(camera, background=(0.1, 0.6, 0.2), supersampling=supersampling)
     assert psnr(frame.rgb, whole.rgb) > 55 and psnr(frame.alpha, whole.alpha) > 55
@@ -60,7 +60,7 @@ def test_two_things_are_seen_as_one_field_that_holds_both(eye, supersampling, de
 
 
 def test_what_is_nearer_hides_what_is_behind(device):
-    stage = two_things(device).place("blue", Place(-NEAR))
+    stage = two_objects(device).place("blue", Place(-NEAR))
     front, back = (stage.render(view((x, 0, 0), size=33)).rgb[16, 16] for x in (-2.5, 2.5))
     np.testing.assert_allclose(front, [0.9, 0.2, 0.1], atol=0.01)
     np.testing.assert_allclose(back, [0.1, 0.3, 0.9], atol=0.01)
@@ -71,13 +71,15 @@ def test_what_is_nearer_hides_what_is_behind(device):
 
 
 @pytest.mark.parametrize("kind", ["voxels", "splats", "deformed"])
-def test_a_moved_thing_is_what_the_counter_moved_camera_sees(kind, device):
-    thing = splats_in_box(device) if kind == "splats" else shiny_field(device)
+def test_a_moved_object_is_what_the_counter_moved_camera_sees(kind, device):
+    scene_object = splats_in_box(device) if kind == "splats" else shiny_field(device)
     if kind == "deformed":
-        thing = Deformer(thing, BOX, coordinates="mean_value", resolution=16).pose(BOX.twist(50, axis="x"))
+        scene_object = Deformer(scene_object, BOX, coordinates="mean_value", resolution=16).pose(
+            BOX.twist(50, axis="x")
+        )
     camera = view((4, 1.5, 2), size=40)
-    frame = Stage().add("it", thing, place=PLACE.matrix).render(camera, background="transparent")
-    own = thing.render(seen_from(PLACE, camera), background="transparent")
+    frame = Stage().add("it", scene_object, place=PLACE.matrix).render(camera, background="transparent")
+    own = scene_object.render(seen_from(PLACE, camera), background="transparent")
     np.testing.assert_allclose(frame.rgb, own.rgb, atol=2e-4)
     assert frame.transparent and frame.alpha.max() > 0.3
     seen = own.alpha > 0.05
@@ -86,7 +88,7 @@ def test_a_moved_thing_is_what_the_counter_moved_camera_sees(kind, device):
 
 @pytest.mark.parametrize("around", ["layers", "outer"])
 @pytest.mark.parametrize("place", [Place(), Place((0.1, 0.2, 0.0), scale=2.0)], ids=["in place", "moved"])
-def test_things_stand_before_the_surroundings_of_one(place, around, device):
+def test_objects_stand_before_the_surroundings_of_one(place, around, device):
     room = surrounded_ball(device, around, fog=False)
     camera = view((0.2, -3.0, 0.4), size=40)
     alone = Stage().add("room", room, place=place).render(camera)
@@ -112,12 +114,12 @@ def test_masks_are_dimmed_by_what_is_before_them(device):
 @pytest.mark.parametrize("kind", ["plain", "deformed", "paper"])
 def test_merged_voxels_look_like_the_stage(kind, device):
     field = make_field(ellipsoid, plain([0.8, 0.5, 0.2]), device=device, resolution=72)
-    thing = field
+    scene_object = field
     if kind != "plain":
         density = "paper" if kind == "paper" else "opacity"
-        thing = Deformer(field, BOX, coordinates="mean_value", resolution=24, density=density)
-        thing.pose(BOX.bend(30, axis="x", towards="z"))
-    stage = Stage().add("it", thing, place=Place((0.0, 0.3, 0.1), (10, 20, 30), 0.8))
+        scene_object = Deformer(field, BOX, coordinates="mean_value", resolution=24, density=density)
+        scene_object.pose(BOX.bend(30, axis="x", towards="z"))
+    stage = Stage().add("it", scene_object, place=Place((0.0, 0.3, 0.1), (10, 20, 30), 0.8))
     stage.add("blue", colored_ball(device, BLUE), place=Place((0.5, -0.3, 0)))
     merged = stage.merged()
     assert isinstance(merged, VoxelField)
@@ -129,7 +131,7 @@ def test_merged_voxels_look_like_the_stage(kind, device):
 
 
 def test_merged_voxels_in_one_place_add_up(device):
-    """Where things pass through each other, which pictures of them one over the other do not show."""
+    """Where objects pass through each other, which pictures of them one over the other do not show."""
     haze = make_field(lambda x: ellipsoid(x, radii=(0.5, 0.5, 0.5), sigma=1.5), RED, device=device)
     other = make_field(lambda x: ellipsoid(x, radii=(0.5, 0.5, 0.5), sigma=4.5), BLUE, device=device)
     merged = Stage().add("one", haze).add("other", other).merged()
@@ -166,8 +168,8 @@ def test_merged_splats_are_the_same_picture(device):
         splats_in_box(device, degree=1, scales=(-4.0, -2.5), seed=1),
     )
     bent = Deformer(other, BOX, coordinates="mean_value").pose(BOX.bend(20, axis="x", towards="z"))
-    for thing in (other, bent):
-        stage = Stage().add("one", one, place=PLACE).add("other", thing, place=Place((0, 4.0, 0)))
+    for scene_object in (other, bent):
+        stage = Stage().add("one", one, place=PLACE).add("other", scene_object, place=Place((0, 4.0, 0)))
         merged = stage.merged()
         assert isinstance(merged, SplatField) and merged.degree == 3
         for camera in (view((9, 3, 3), size=64), view((-3, -8, 4), size=64)):
@@ -207,7 +209,7 @@ def test_a_stage_is_one_file_that_can_be_opened_again(tmp_path, device):
     assert loaded.length == 1.5 and list(loaded.items) == ["it", "splats", "again"]
     loaded.save(moved / "more" / "again.stage.json")
     content = json.loads((moved / "more" / "again.stage.json").read_text())
-    assert [thing["field"] for thing in content["things"]] == ["../it.npz", "splats.ply", "../it.npz"]
+    assert [scene_object["field"] for scene_object in content["objects"]] == ["../it.npz", "splats.ply", "../it.npz"]
     with pytest.raises(ValueError, match=MESSAGES["stage.no_file"]):
         stage.replace("it", colored_ball(device, RED)).save(moved / "other.stage.json")
 
@@ -277,13 +279,14 @@ def test_bad_stage_files_are_told_in_one_line(tmp_path):
     good = {"name": "it", "field": "it.npz"}
     wrong = {
         "its format is": {"format": "warpcage edits"},
-        "object 1 needs a field": {"things": [{"name": "it"}]},
-        "'things' must be": {"things": []},
-        "its version is 2": {"version": 2, "things": [good]},
-        "object 1 has no 'file'": {"things": [good | {"file": "it.npz"}]},
-        "the scale of a place": {"things": [good | {"place": {"scale": -1}}]},
-        "object 'it': .* lacks 'edits'": {"things": [good | {"deformation": {}}]},
-        "it has no 'cells'": {"things": [good | {"deformation": {"edits": [], "cells": 3}}]},
+        "object 1 needs a field": {"objects": [{"name": "it"}]},
+        "'objects' must be": {"objects": []},
+        "its version is 3": {"version": 3, "objects": [good]},
+        "give one of them": {"objects": [good], "things": [good]},
+        "object 1 has no 'file'": {"objects": [good | {"file": "it.npz"}]},
+        "the scale of a place": {"objects": [good | {"place": {"scale": -1}}]},
+        "object 'it': .* lacks 'edits'": {"objects": [good | {"deformation": {}}]},
+        "it has no 'cells'": {"objects": [good | {"deformation": {"edits": [], "cells": 3}}]},
     }
     for message, content in wrong.items():
         (tmp_path / "scene.stage.json").write_text(json.dumps({"format": "warpcage stage", "version": 1} | content))

@@ -63,7 +63,7 @@ def test_views_are_put_between_what_is_before_and_behind(device):
     alpha = random.random(108) * (random.random(108) > 0.3)
     depth = np.where(
         alpha > 0, random.uniform(0.5, 6.0, 108), np.inf
-    )  # also before the box, as an edit may move things
+    )  # also before the box, as an edit may move objects
     rgb = random.random((108, 3)) * alpha[:, None]
     mask = random.random(108)
     arrays = [

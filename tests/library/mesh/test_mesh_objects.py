@@ -339,7 +339,7 @@ def test_another_package_adds_a_format(tmp_path, plugged, capsys):
     refused(lambda: Cage.load(__file__), match=".usda or .tri")
 
 
-def test_formats_that_do_one_thing_only(tmp_path, plugged):
+def test_formats_that_do_one_object_only(tmp_path, plugged):
     plugged(tri=dataclasses.replace(TRI, write=None))
     refused(lambda: BOX.save(tmp_path / "a.tri"), match="triangles files are not written")
     plugged(tri=dataclasses.replace(TRI, read=None))

@@ -81,7 +81,7 @@ def test_cameras_take_the_pictures_again(device, name):
 
 
 def test_a_ball_is_where_cameras_look_for_it(device):
-    """The pixel of its middle is red, unless another thing is before it."""
+    """The pixel of its middle is red, unless another object is before it."""
     vertices, faces, colors = CASUAL["lamp"].place()
     red = (colors[:, 0] > 0.55) & (colors[:, 1] < 0.1)
     ball = vertices[faces[red]].reshape(-1, 3)

@@ -136,7 +136,7 @@ def png(pixels):
 
 def file_of(ending, kind, folder):
     """A file of the ball with colours of vertices, or of the square with a texture; z is up."""
-    path = folder / f"thing{ending}"
+    path = folder / f"object{ending}"
     if kind == "texture":
         if ending == ".glb":
             texture = Texture(SQUARE_UV.astype(np.float64), np.tile([0.0, 0, 1], (4, 1)), png(PICTURE))
@@ -197,8 +197,8 @@ def test_faces_of_ply_files_with_colors_are_cut_in_their_own(kind, white, tmp_pa
     head += "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue")) + "end_header\n"
     dark = round(0.2 * white, 0 if white > 1 else 3)
     rows = [f"{x} {y} 0" for x, y in NOTCHED] + [f"5 0 1 2 3 4 {white} 0 {dark}", f"3 0 1 2 0 {white} 0"]
-    (tmp_path / "thing.ply").write_text(head + "\n".join(rows) + "\n")
-    surface = read_surface(tmp_path / "thing.ply")
+    (tmp_path / "object.ply").write_text(head + "\n".join(rows) + "\n")
+    surface = read_surface(tmp_path / "object.ply")
     a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
     areas, shown = 0.5 * np.cross(b - a, c - a)[:, 2], surface.colors[surface.faces]
     assert areas.min() > 0.0 and areas[:3].sum() == pytest.approx(10.0)
@@ -213,7 +213,7 @@ def test_colors_of_ply_files_are_shares_of_what_is_white_in_their_type(kind, whi
     head = ["ply", "format ascii 1.0", "element vertex 3", *(f"property float {axis}" for axis in "xyz")]
     head += [*(f"property {kind} {name}" for name in ("red", "green", "blue", "alpha")), "element face 1"]
     head += ["property list uchar int vertex_indices", "end_header"]
-    path = tmp_path / "thing.ply"
+    path = tmp_path / "object.ply"
     path.write_text(
         "\n".join([*head, *(f"{place} {shown}" for place in ("0 0 0", "1 0 0", "0 1 0")), "3 0 1 2"]) + "\n"
     )
@@ -230,7 +230,7 @@ def test_files_with_textures(ending, tmp_path, device):
 
 @pytest.mark.parametrize("ending", [".stl", ".off", ".glb"])
 def test_files_without_colors(ending, tmp_path, device):
-    path = tmp_path / f"thing{ending}"
+    path = tmp_path / f"object{ending}"
     if ending == ".glb":
         path.write_bytes(write_glb(BALL.vertices[:, [0, 2, 1]] * [1, 1, -1], BALL.faces))
     else:
@@ -472,10 +472,10 @@ def solid_box(device):
 def test_a_plane_through_a_box_of_voxels_hides_what_is_behind_it(order, device):
     """Where the ray enters the box, and where it meets the plane, both as equations; the nearer one is seen."""
     tilted = Place((0.0, 0.0, 0.1), (10, 0, 15), 0.9)
-    things = {"box": solid_box(device), "plane": SurfaceMesh(*SQUARE, colors=np.tile([0.1, 0.2, 0.9], (4, 1)))}
+    objects = {"box": solid_box(device), "plane": SurfaceMesh(*SQUARE, colors=np.tile([0.1, 0.2, 0.9], (4, 1)))}
     stage = Stage(device=device)
     for name in order:
-        stage.add(name, things[name], place=tilted if name == "plane" else None)
+        stage.add(name, objects[name], place=tilted if name == "plane" else None)
     camera = view((2.2, 1.4, 1.2), size=64)
     frame = stage.render(camera, supersampling=1, background="black")
     directions = pixel_rays(camera)

@@ -171,7 +171,7 @@ def test_spz_by_hand(version, packed, tmp_path):
 
 @pytest.mark.parametrize("axes", SYSTEMS)
 def test_spz_in_declared_axes(axes, tmp_path):
-    """A file says where its axes point; what it says of other things is passed over."""
+    """A file says where its axes point; what it says of other objects is passed over."""
     other = struct.pack("<II", 0x12340001, 3) + b"abc"
     extensions = other + struct.pack("<III", 0xADBE0003, 4, SYSTEMS.index(axes) + 1)
     path = tmp_path / "a.spz"

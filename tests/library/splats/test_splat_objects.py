@@ -74,7 +74,7 @@ def test_the_cup_without_its_table(scene, cup, way):
     assert chosen.voxel_size[0] < 0.2 * field.voxel_size[0] < 0.2 * 0.05
 
 
-def test_other_things_of_the_place(scene):
+def test_other_objects_of_the_place(scene):
     field, labels = scene
     ball = rows_of(select_object(field, point=(1.5, 1.2, 0.6)))
     assert not (ball & (labels != BALL)).any() and ball.sum() > 0.9 * (labels == BALL).sum()

@@ -128,7 +128,7 @@ def test_disparity_colors_rise_in_lightness_and_show_nothing_as_black():
     np.testing.assert_array_equal(color[0], 0.0)
     assert (np.diff(luminance(color[1]))[2:-2] > 0).all()
     assert color.min() >= 0 and color.max() <= 1
-    assert luminance(color[1, 0]) > 0.01  # the farthest thing still differs from nothing
+    assert luminance(color[1, 0]) > 0.01  # the farthest object still differs from nothing
 
 
 def test_disparity_scale_ignores_a_few_wild_pixels():

@@ -83,7 +83,7 @@ def test_no_pictures(tmp_path, make, words):
             lambda source: save_pictures(source, [np.full((150, 200, 3), 90 + 10 * k, np.uint8) for k in range(5)]),
             "too little detail to match, 0 features each",
         ),
-        (  # what a mirror shows is another thing from each place
+        (  # what a mirror shows is another object from each place
             lambda source: save_pictures(source, [moving_pictures([0], (150, 200), k)[0] for k in range(4)]),
             "no two pictures",
         ),

@@ -224,7 +224,7 @@ def test_an_interrupt_in_the_middle_of_a_drag_ends_it_with_the_session_saved(fil
     np.testing.assert_allclose(one.posed, BOX.vertices * 1.3)
 
 
-def test_a_stage_file_is_opened_with_all_of_its_things_and_its_film_is_made(files, opened, capsys):
+def test_a_stage_file_is_opened_with_all_of_its_objects_and_its_film_is_made(files, opened, capsys):
     """`animate --session` renders what the editor has of it."""
     moving = files / "moving.json"
     moving.write_text('{"keys": [{"time": 0}, {"time": 1, "position": [0, 0, 1]}]}')
@@ -244,7 +244,7 @@ def test_a_stage_file_is_opened_with_all_of_its_things_and_its_film_is_made(file
     assert "cages of their own" in capsys.readouterr().err
     assert edit(files, "@both.stage.json") == 0
     (editor,) = opened
-    assert [thing.name for thing in editor.document.things] == ["ball", "ball 2"]
+    assert [scene_object.name for scene_object in editor.document.objects] == ["ball", "ball 2"]
     assert (files / "both.stage.session.json").is_file() and editor.session.field_path == files / "ball.npz"
     session = ("animate", "@ball.npz", "--session", "@both.stage.session.json")
     assert run(files, *session, "-o", "@film", "--size", "16", "12") == 0

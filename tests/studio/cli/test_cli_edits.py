@@ -10,7 +10,7 @@ from messages import MESSAGES
 from runs import SMALL, run, succeed, write_files
 
 from warpcage import Cage, CageEdit, Camera, Deformer, PoseFile, VoxelField
-from warpcage.edits import EditWords
+from warpcage.edits import EditSpec
 from warpcage.studio.cli.program import build_parser
 from warpcage.studio.cli.shared import parse_edit
 from warpcage.studio.editor import Document, Selection, Settings, Timeline, View, new_edit, write_session
@@ -49,18 +49,18 @@ def expected(files, edits, poses):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("cage.obj:posed.obj", EditWords("cage.obj", "posed.obj")),
-        ("cage.obj:posed.obj:keep", EditWords("cage.obj", "posed.obj", keep=True)),
-        ("a/cage.glb:remove", EditWords("a/cage.glb", remove=True)),
-        ("cage.PLY:bend:40:x:z:keep", EditWords("cage.PLY", "bend:40:x:z", keep=True)),
-        ("cage.obj:poses.json:wave", EditWords("cage.obj", "poses.json:wave")),
-        (r"C:\me\cage.obj:D:\posed.obj", EditWords(r"C:\me\cage.obj", r"D:\posed.obj")),
-        (r"C:cage.obj:C:poses.json:wave:keep", EditWords("C:cage.obj", "C:poses.json:wave", keep=True)),
-        ("cage.obj:posed.obj:keep:falloff=0.5", EditWords("cage.obj", "posed.obj", keep=True, falloff=0.5)),
-        ("cage.obj:remove:fragments=0.1", EditWords("cage.obj", remove=True, fragments=0.1)),
-        ("a.obj:twist:30:held=3,4:falloff=1", EditWords("a.obj", "twist:30", falloff=1.0, held=(3, 4))),
-        ("my.obj files/a.obj:b.obj", EditWords("my.obj files/a.obj", "b.obj")),
-        ("a.obj:my.obj files/b.glb:wave", EditWords("a.obj", "my.obj files/b.glb:wave")),
+        ("cage.obj:posed.obj", EditSpec("cage.obj", "posed.obj")),
+        ("cage.obj:posed.obj:keep", EditSpec("cage.obj", "posed.obj", keep=True)),
+        ("a/cage.glb:remove", EditSpec("a/cage.glb", remove=True)),
+        ("cage.PLY:bend:40:x:z:keep", EditSpec("cage.PLY", "bend:40:x:z", keep=True)),
+        ("cage.obj:poses.json:wave", EditSpec("cage.obj", "poses.json:wave")),
+        (r"C:\me\cage.obj:D:\posed.obj", EditSpec(r"C:\me\cage.obj", r"D:\posed.obj")),
+        (r"C:cage.obj:C:poses.json:wave:keep", EditSpec("C:cage.obj", "C:poses.json:wave", keep=True)),
+        ("cage.obj:posed.obj:keep:falloff=0.5", EditSpec("cage.obj", "posed.obj", keep=True, falloff=0.5)),
+        ("cage.obj:remove:fragments=0.1", EditSpec("cage.obj", remove=True, fragments=0.1)),
+        ("a.obj:twist:30:held=3,4:falloff=1", EditSpec("a.obj", "twist:30", falloff=1.0, held=(3, 4))),
+        ("my.obj files/a.obj:b.obj", EditSpec("my.obj files/a.obj", "b.obj")),
+        ("a.obj:my.obj files/b.glb:wave", EditSpec("a.obj", "my.obj files/b.glb:wave")),
     ],
 )
 def test_words_of_an_edit(text, words):
@@ -132,10 +132,10 @@ def test_fragments_by_their_old_name_are_taken_with_a_warning(files, tmp_path, c
         old = build_parser().parse_args(["render", "a.npz", "-o", "a.png", "--crumbs", "0.5"])
     assert old.fragments == 0.5
     with pytest.warns(UserWarning, match="crumbs= is called fragments= now"):
-        assert parse_edit("cage.obj:remove:crumbs=0.1") == EditWords("cage.obj", remove=True, fragments=0.1)
+        assert parse_edit("cage.obj:remove:crumbs=0.1") == EditSpec("cage.obj", remove=True, fragments=0.1)
     assert run(files, "edits", "--edit", "@top.obj:remove:crumbs=1", "-o", tmp_path / "a.json") == 0
     (edit,) = json.loads((tmp_path / "a.json").read_text())["edits"]
-    assert edit["remove"] and edit["crumbs"] == 1.0  # the word of files, which stays
+    assert edit["remove"] and edit["fragments"] == 1.0
     assert capsys.readouterr().err == (
         "warpcage: warning: crumbs= is called fragments= now: the next version knows that name alone\n"
     )
@@ -249,7 +249,7 @@ def test_bad_edits_end_in_one_line(files, tmp_path, capsys, words, message):
 @pytest.mark.parametrize("held", ["3,4", [3, 4]])
 def test_held_faces_are_read_from_a_text_or_a_list_and_written_as_a_text(tmp_path, held):
     path = tmp_path / "house.edits.json"
-    edit = EditWords(str(tmp_path / "top.obj"), "rest", falloff=0.0, held=(3, 4))
+    edit = EditSpec(str(tmp_path / "top.obj"), "rest", falloff=0.0, held=(3, 4))
     write_edits_file(path, [edit])
     content = json.loads(path.read_text())
     assert content["edits"] == [{"cage": "top.obj", "posed": "rest", "falloff": 0.0, "held": "3,4"}]
@@ -258,8 +258,8 @@ def test_held_faces_are_read_from_a_text_or_a_list_and_written_as_a_text(tmp_pat
 
 
 def test_all_of_an_edit_is_said():
-    edits = [EditWords("a.obj", "b.obj", keep=True, falloff=0.5, held=(3, 4), fragments=0.1),
-             EditWords("a.obj", remove=True, fragments=0.1)]  # fmt: skip
+    edits = [EditSpec("a.obj", "b.obj", keep=True, falloff=0.5, held=(3, 4), fragments=0.1),
+             EditSpec("a.obj", remove=True, fragments=0.1)]  # fmt: skip
     assert [str(edit) for edit in edits] == [
         "a.obj -> b.obj, the source stays (a copy), fades to rest over 0.5 (held=3,4), fragments below 0.1 go too",
         "a.obj: removed, fragments below 0.1 go too",
@@ -279,13 +279,13 @@ def test_all_of_an_edit_is_said():
 )
 def test_bad_edits_files_say_where(tmp_path, edit, message):
     path = tmp_path / "bad.json"
-    write_edits_file(path, [EditWords("top.obj", "rest")])
+    write_edits_file(path, [EditSpec("top.obj", "rest")])
     content = json.loads(path.read_text())
     path.write_text(json.dumps({**content, "edits": [edit]}))
     with pytest.raises(ValueError, match=message):
         read_edits_file(path)
     for changes, wrong in (
-        ({"version": 2}, "version is 2"),
+        ({"version": 3}, "version is 3"),
         ({"edits": []}, "at least one"),
         ({"format": 1}, "format"),
     ):

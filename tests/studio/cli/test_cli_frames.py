@@ -379,13 +379,13 @@ def test_what_commands_say_of_a_pose_is_plain(files, tmp_path, capsys):
     assert not any(word in said for word in JARGON), said
 
 
-# Several things in one scene
+# Several objects in one scene
 
 PLACE = {"position": [0.6, 0.2, 0.1], "turn": [0, 90, 20], "scale": 0.5}
 
 
 @pytest.fixture
-def things(files, tmp_path):
+def objects(files, tmp_path):
     """Words of a scene of two: the ball posed, and another, small and posed by edits of its own, beside it."""
     (tmp_path / "place.json").write_text(json.dumps(PLACE))
     edit = f"{files}/cage.obj:{files}/posed.obj"
@@ -393,10 +393,10 @@ def things(files, tmp_path):
     return [*SMALL, *DEFORMED, "--add", f"@ball.npz:{tmp_path}/place.json:{tmp_path}/it.edits.json"]
 
 
-def test_render_of_several_things(files, things, tmp_path, capsys):
+def test_render_of_several_objects(files, objects, tmp_path, capsys):
     view = ["--camera", "@scene:test:1", "--background", "black"]
     scene = tmp_path / "both.stage.json"
-    succeed(files, "render", "@ball.npz", *things, *view, "-o", tmp_path / "both.png", "--save-stage", scene)
+    succeed(files, "render", "@ball.npz", *objects, *view, "-o", tmp_path / "both.png", "--save-stage", scene)
     camera = load_scene(files / "scene", split="test").cameras[1].resized(40, 40)
     field, cage = VoxelField.load(files / "ball.npz"), Cage.load(files / "cage.obj")
     options = {"coordinates": "mean_value", "resolution": 24}
@@ -416,7 +416,7 @@ def test_render_of_several_things(files, things, tmp_path, capsys):
     assert (image[[0, -1]] == 1).all() and (image[:, [0, -1]] == 1).all()
 
 
-def test_film_of_things_that_move_by_keys_of_their_places(files, things, tmp_path):
+def test_film_of_objects_that_move_by_keys_of_their_places(files, objects, tmp_path):
     keys = [{"time": 0, **PLACE, "easing": "linear"}, {"time": 1, "position": [-0.6, 0.2, 0.1], "scale": 0.5}]
     (tmp_path / "around.json").write_text(json.dumps({"keys": keys}))
     words = ["@ball.npz", *SMALL, "--add", f"@ball.npz:{tmp_path}/around.json", "--eye", 0, -4, 0, "--target", 0, 0, 0]
@@ -432,7 +432,7 @@ def test_film_of_things_that_move_by_keys_of_their_places(files, things, tmp_pat
         np.testing.assert_allclose(read_image(folder / f"frame_{index:04d}.png"), expected, atol=0.01)
     (tmp_path / "around.json").write_text(json.dumps({"keys": keys[::-1][:1] + keys[:1]}))
     assert run(files, "animate", *words, "--turn", 0, "--fps", 4, "--background", "black", "-o", folder) == 2
-    posed = ["animate", "@ball.npz", *things, "--frames", 3, "--turn", 0, "-o", tmp_path / "posed"]
+    posed = ["animate", "@ball.npz", *objects, "--frames", 3, "--turn", 0, "-o", tmp_path / "posed"]
     succeed(files, *posed)  # poses without times keep to the number of frames
     assert len(list((tmp_path / "posed").glob("*.png"))) == 3
 
@@ -452,10 +452,10 @@ def test_a_mesh_beside_a_field_posed_and_in_a_film(files, tmp_path, capsys):
     mesh = SurfaceMesh(cube.vertices, cube.faces, colors=colors)
     moved = Deformer(mesh, cage, coordinates="mean_value").pose(cage.match(Cage.load(files / "posed.obj")))
     pictures = []
-    for name, given, thing in (("plain", words, mesh), ("posed", posed, moved)):
+    for name, given, scene_object in (("plain", words, mesh), ("posed", posed, moved)):
         scene = tmp_path / f"{name}.stage.json"
         succeed(files, "render", "@ball.npz", *given, *view, "-o", tmp_path / f"{name}.png", "--save-stage", scene)
-        stage = Stage().add("ball", field).add("cube", thing, place=Place(**PLACE))
+        stage = Stage().add("ball", field).add("cube", scene_object, place=Place(**PLACE))
         pictures.append(read_image(tmp_path / f"{name}.png"))
         np.testing.assert_allclose(pictures[-1], stage.render(camera, background="black").rgb, atol=0.01)
         succeed(files, "render", scene, *view, "-o", tmp_path / "again.png")
@@ -474,9 +474,9 @@ def test_a_mesh_beside_a_field_posed_and_in_a_film(files, tmp_path, capsys):
     assert "cube: meshes are not merged with fields" in capsys.readouterr().err
 
 
-def test_bake_of_a_stage_file(files, things, tmp_path):
+def test_bake_of_a_stage_file(files, objects, tmp_path):
     scene = tmp_path / "both.stage.json"
-    succeed(files, "render", "@ball.npz", *things, "-o", tmp_path / "both.png", "--save-stage", scene)
+    succeed(files, "render", "@ball.npz", *objects, "-o", tmp_path / "both.png", "--save-stage", scene)
     succeed(files, "bake", scene, "-o", tmp_path / "both.npz", "--voxels", 80)
     succeed(files, "bake", scene, "-o", tmp_path / "both.ply")
     stage, camera = Stage.load(scene), Camera.look_at((2, 3, 1), (0, 0, 0), width=40, height=40)
@@ -500,7 +500,7 @@ def test_bake_of_a_stage_file(files, things, tmp_path):
     ],
     ids=["place", "field", "words", "ending", "stage", "cages", "workers", "bake"],
 )
-def test_what_several_things_do_not_go_with(words, message, files, tmp_path, capsys):
+def test_what_several_objects_do_not_go_with(words, message, files, tmp_path, capsys):
     output = tmp_path / {"bake": "out.npz", "animate": "out.mp4"}.get(words[0], "out.png")
     assert run(files, *words, "-o", output) == 2
     said = capsys.readouterr().err

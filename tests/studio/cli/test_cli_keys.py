@@ -184,6 +184,7 @@ def test_a_still_of_a_file_that_moves(files, tmp_path, capsys):
         succeed(files, *words, tmp_path / f"{name}.png", "--posed", tmp_path / pose)
     made = Cage(rest.vertices * [1, 1, 1.5], rest.faces)
     made.save(tmp_path / "tall.obj")
+    made.save(tmp_path / "still.glb")
     succeed(files, *words, tmp_path / "tall.png", "--posed", tmp_path / "tall.obj")
     for name in ("on", "named"):
         assert np.abs(read_image(tmp_path / f"{name}.png") - read_image(tmp_path / "tall.png")).max() < 3 / 255
@@ -192,6 +193,7 @@ def test_a_still_of_a_file_that_moves(files, tmp_path, capsys):
         ("off.gltf", "holds 2 keyframes: name one, as in"),
         ("walk.gltf", "holds an animation of 9 frames: `warpcage animate` makes a film of it"),
         ("off.gltf:wide", "no animation or shape key 'wide', only tall, aside"),
+        ("still.glb:wide", "no animation or shape key 'wide', and nothing else that moves"),
     ):
         assert run(files, *words, tmp_path / "x.png", "--posed", tmp_path / pose) == 2
         assert message in capsys.readouterr().err

@@ -201,7 +201,7 @@ def test_a_change_of_nothing_is_no_change():
     ("command", "step"),
     [
         ({"do": "edit.change", "id": 1, "visible": False}, "visibility of Move 1"),
-        ({"do": "edit.change", "id": 1, "falloff": 0.1, "crumbs": 0.1}, "fade, loose pieces of Move 1"),
+        ({"do": "edit.change", "id": 1, "falloff": 0.1, "fragments": 0.1}, "fade, loose pieces of Move 1"),
         ({"do": "settings", "supersampling": 2}, "change samples"),
         ({"do": "timeline", "fps": 12}, "film frame rate"),
     ],
@@ -469,7 +469,7 @@ def test_history_goes_back_and_forth_through_the_same_documents():
 
 def test_walls_and_fragments_of_an_edit_are_changed_kept_and_checked():
     start = document()
-    after = done(start, do="edit.change", id=1, falloff=0.25, held="still", crumbs=0.5)
+    after = done(start, do="edit.change", id=1, falloff=0.25, held="still", fragments=0.5)
     edit = after.edits[0]
     assert (edit.falloff, edit.held, edit.fragments) == (0.25, "still", 0.5)
     made = edit.cage_edit
@@ -480,10 +480,10 @@ def test_walls_and_fragments_of_an_edit_are_changed_kept_and_checked():
     assert removed.remove and removed.falloff == 0.0 and removed.fragments == 0.5  # what is removed has nothing to fade
     again = Document.from_json(json.loads(json.dumps(after.to_json())))
     assert again.edits[0].cage_edit.held == "still" and again.edits[0].fragments == 0.5
-    for bad in ({"falloff": -1}, {"falloff": "wide"}, {"crumbs": np.inf}, {"held": "all"}, {"held": 3}):
+    for bad in ({"falloff": -1}, {"falloff": "wide"}, {"fragments": np.inf}, {"held": "all"}, {"held": 3}):
         refused(start, do="edit.change", id=1, **bad)
     old = start.to_json()
-    for name in ("falloff", "held", "crumbs"):
+    for name in ("falloff", "held", "fragments"):
         del old["edits"][0][name]
     del old["settings"]["fill"]
     older = Document.from_json(old)  # a session of a version before these

@@ -30,7 +30,7 @@ REST = CAGE.vertices
 BALL = Cage.icosphere((0.0, 0.0, 0.0), 0.9, 1)
 BACK = "Undo brings that back."
 
-#: The film of the tests: keys 3 and 4 hold poses of edits 1 and 2, places of both things, and cameras.
+#: The film of the tests: keys 3 and 4 hold poses of edits 1 and 2, places of both objects, and cameras.
 FIRST, SECOND, COPY, OWN, KEYS = 1, 3, 2, 0, (4, 5)
 
 LOSES_ALL = "loses its poses of 2 cages, 1 key its camera, 1 key its positions of 2 objects."
@@ -62,11 +62,15 @@ TABLE = {
     "camera.frame": ("tells", {"aspect": 0.2}, "2 keys lose their old cameras."),
     "camera.outside": ("keeps", {"aspect": 0.2}),
     "poses.load": ("asks", {"file": "poses.json", "edit": FIRST}, OF_EDIT),
-    "thing.select": ("keeps", {"id": COPY}),
-    "thing.add": ("keeps", {"file": "arm.npz"}),
-    "thing.copy": ("keeps", {"id": COPY}),
-    "thing.change": ("keeps", {"id": COPY, "visible": False, "place": {"position": [0, 0, 9]}}),
-    "thing.remove": ("asks", {"id": COPY}, '2 keys lose their poses of "Move 1", 2 keys their positions of "scene 2".'),
+    "object.select": ("keeps", {"id": COPY}),
+    "object.add": ("keeps", {"file": "arm.npz"}),
+    "object.copy": ("keeps", {"id": COPY}),
+    "object.change": ("keeps", {"id": COPY, "visible": False, "place": {"position": [0, 0, 9]}}),
+    "object.remove": (
+        "asks",
+        {"id": COPY},
+        '2 keys lose their poses of "Move 1", 2 keys their positions of "scene 2".',
+    ),
     "timeline": ("keeps", {"length": 3.0, "fps": 12.0, "loop": "loop"}),
     "time": ("keeps", {"time": 0.5}),
     "play": ("keeps", {"on": True}, {"do": "play", "on": False}),
@@ -84,18 +88,18 @@ TABLE = {
     "preset.end": ("keeps", None),
     "place.begin": (
         "keeps",
-        {"thing": COPY},
-        {"do": "place.set", "thing": COPY, "matrix": np.eye(4).tolist(), "seq": 1},
-        {"do": "place.end", "thing": COPY},
+        {"object": COPY},
+        {"do": "place.set", "object": COPY, "matrix": np.eye(4).tolist(), "seq": 1},
+        {"do": "place.end", "object": COPY},
     ),
     "place.set": ("keeps", None),
     "place.end": ("keeps", None),
     "view": ("keeps", {"eye": [3, 3, 3], "target": [0, 0, 0], "up": [0, 0, 1], "fov": 40.0}),
     "size": ("keeps", {"width": 24, "height": 16}),
     "seen": ("keeps", {"frame": 1}),
-    "thing.pick": ("keeps", {"across": 0.5, "down": 0.5, "aspect": 1.5}),
+    "object.pick": ("keeps", {"across": 0.5, "down": 0.5, "aspect": 1.5}),
     "files": ("keeps", {}),
-    "thing.files": ("keeps", {}),
+    "object.files": ("keeps", {}),
     "poses.save": ("keeps", {"file": "kept.json", "edit": FIRST}),
     "upload.drop": ("keeps", {"file": "sent.obj"}),
     "export": ("keeps", {"what": "poses", "file": "out.json", "edit": FIRST}),
@@ -129,11 +133,11 @@ def test_no_command_of_the_page_loses_what_was_keyed_without_a_word(tmp_path, mo
     async def test(host, page):
         session = host.session
         assert set(TABLE) == {"undo", "redo"} | set(COMMANDS) | set(host.tasks.commands) | spoken()
-        await page.do(do="thing.copy", id=OWN, offset=[3, 0, 0])
+        await page.do(do="object.copy", id=OWN, offset=[3, 0, 0])
         await page.do(do="key.add", time=0.0, pose=True, camera=True)
         await page.do(do="time", time=1.0)
         await page.drag(CAGE.twist(80).vertices, edit=SECOND)
-        await page.do(do="thing.select", id=OWN)
+        await page.do(do="object.select", id=OWN)
         await page.drag(CAGE.twist(60).vertices, edit=FIRST)
         await page.do(do="key.add", time=1.0, pose=True, camera=True)
         assert tuple(key.id for key in session.document.timeline.keys) == KEYS
@@ -215,8 +219,8 @@ DIALOGS = [
     ("keys", "#camera-move", "It replaces the cameras of 2 keys; undo brings them back.", "2 keys lose their cameras."),
     ("film", "#poses-load", "Poses of the file replace those that 2 keys hold", OF_EDIT),
     (
-        "things",
-        "#thing-remove",
+        "objects",
+        "#object-remove",
         "its cages and its part of 2 keys go; undo brings them back.",
         "2 keys lose their poses",
     ),
@@ -241,9 +245,9 @@ def test_dialogs_say_what_keys_would_lose_and_undo_brings_it_back(window, editor
         window.click("#dialog-cancel")
         window.wait("!document.querySelector('dialog')")
     for fold, opener, words, told in DIALOGS:
-        if fold == "things":
-            said(editor, {"do": "thing.copy", "id": 0, "offset": [3, 0, 0]})
-            window.wait("warpcage.store.sections.things.length === 2")
+        if fold == "objects":
+            said(editor, {"do": "object.copy", "id": 0, "offset": [3, 0, 0]})
+            window.wait("warpcage.store.sections.objects.length === 2")
         kept = film(editor.session)
         window.unfold(fold)
         window.click(opener)
@@ -398,14 +402,14 @@ def test_steps_to_an_object_whose_file_is_another_by_now_are_left_out(tmp_path, 
         told = "3 undo steps are left out: arm.npz is gone or changed."
         assert said(editor, UNDO) == (["x2"], [told]) and session.history.undo_steps == []
         assert said(editor) == ([], [])  # once
-        assert film(session) == kept and [thing.file for thing in session.document.things] == [None]
+        assert film(session) == kept and [scene_object.file for scene_object in session.document.objects] == [None]
 
 
 def added_and_removed(path):
     """The film of a session in which an object was added, and removed again, and a pose set after that."""
     with edit(path, CAGE) as editor:
-        added = {"do": "thing.add", "file": "arm.npz"}
-        said(editor, sized(1.5), added, {"do": "thing.remove", "id": 2}, sized(2))
+        added = {"do": "object.add", "file": "arm.npz"}
+        said(editor, sized(1.5), added, {"do": "object.remove", "id": 2}, sized(2))
         return film(editor.session)
 
 
@@ -418,7 +422,7 @@ def added_and_removed(path):
          {"do": "select", "edit": 1, "mode": "face", "vertices": []}],
         [{"do": "export", "what": "cage", "file": "posed.obj"}],
         [{"do": "timeline", "length": 1.5}],
-        [{"do": "thing.copy", "id": 0}],
+        [{"do": "object.copy", "id": 0}],
     ],
 )  # fmt: skip
 def test_a_pose_that_no_key_holds_has_a_way_back_to_its_time_and_view(tmp_path, act):

@@ -127,18 +127,18 @@ GOOD = [
     {"do": "export.command", "file": "film.mp4", "width": 16, "height": 16},
     {"do": "job.cancel", "id": 1},
     {"do": "job.clear", "id": 1},
-    {"do": "thing.files"},
-    {"do": "thing.add", "file": "no.npz", "name": "one", "beside": True, "place": {}},
-    {"do": "thing.copy", "id": 0, "offset": [1, 0, 0]},
-    {"do": "thing.change", "id": 0, "name": "Ball", "visible": True, "locked": False,
+    {"do": "object.files"},
+    {"do": "object.add", "file": "no.npz", "name": "one", "beside": True, "place": {}},
+    {"do": "object.copy", "id": 0, "offset": [1, 0, 0]},
+    {"do": "object.change", "id": 0, "name": "Ball", "visible": True, "locked": False,
      "place": {"position": [0, 0, 1], "turn": [0, 90, 0], "scale": 2}},
-    {"do": "thing.pick", "across": 0.5, "down": 0.5, "aspect": 1.5},
-    {"do": "place.begin", "thing": 0, "label": "move"},
-    {"do": "place.set", "thing": 0, "matrix": np.eye(4).tolist(), "seq": 2},
+    {"do": "object.pick", "across": 0.5, "down": 0.5, "aspect": 1.5},
+    {"do": "place.begin", "object": 0, "label": "move"},
+    {"do": "place.set", "object": 0, "matrix": np.eye(4).tolist(), "seq": 2},
     {"do": "place.end", "cancel": False},
-    {"do": "thing.select", "id": 0},
+    {"do": "object.select", "id": 0},
     {"do": "stage.save", "file": "no.json"},
-    {"do": "thing.remove", "id": 9},
+    {"do": "object.remove", "id": 9},
     {"do": "undo"},
     {"do": "redo"},
     {"do": "edit.delete", "id": 7},
@@ -150,7 +150,7 @@ GOOD = [
 def test_every_command_is_tried():
     known = set(COMMANDS) | {message["do"] for message in GOOD}
     spoken = {"drag.begin", "drag.end", "preset.begin", "preset.set", "preset.end", "undo", "redo", "time", "play"}
-    spoken |= {"place.begin", "place.set", "place.end", "thing.pick"}
+    spoken |= {"place.begin", "place.set", "place.end", "object.pick"}
     assert known - {"nothing"} == {message["do"] for message in GOOD} - {"nothing"} >= spoken
 
 
@@ -159,7 +159,7 @@ async def whole(host, page):
     document = host.session.document
     again = Document.from_json(json.loads(json.dumps(document.to_json(), allow_nan=False)))
     assert [edit.id for edit in again.edits] == [edit.id for edit in document.edits]
-    own = document.edits_of(document.selection.thing)
+    own = document.edits_of(document.selection.object_id)
     await page.until(lambda: len(page.sections["edits"]) == len(own))
     await page.until(
         lambda: all(np.array_equal(page.posed(edit.id), host.session.document.edit(edit.id).posed) for edit in own)

@@ -472,7 +472,7 @@ def held():
         memory = int(file.read().split()[1]) * os.sysconf("SC_PAGESIZE")
     kinds = (Document, Page, asyncio.Task, clients.Client, np.ndarray)
     objects = gc.get_objects()
-    counts = {kind.__name__: sum(type(thing) is kind for thing in objects) for kind in kinds}
+    counts = {kind.__name__: sum(type(scene_object) is kind for scene_object in objects) for kind in kinds}
     return threading.active_count(), len(os.listdir("/proc/self/fd")), memory, counts
 
 

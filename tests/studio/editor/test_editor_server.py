@@ -321,7 +321,7 @@ def pose_file():
 LOADED = [
     ("cage.obj", lambda: saved(BOX.save, "cage.obj"), {"do": "cage.load"}),
     ("pose.obj", lambda: saved(BOX.translate((0, 0, 1)).save, "pose.obj"), {"do": "pose.load", "edit": 1}),
-    ("ball.npz", lambda: saved(tiny_field().save, "ball.npz"), {"do": "thing.add"}),
+    ("ball.npz", lambda: saved(tiny_field().save, "ball.npz"), {"do": "object.add"}),
     ("poses.json", lambda: saved(pose_file().save, "poses.json"), {"do": "poses.load", "edit": 1}),
 ]
 
@@ -339,7 +339,7 @@ def test_an_upload_gets_into_the_folder_once_it_was_read_and_taken(tmp_path, nam
             error = await page.refused(**command, file=kept)
             assert kept in error and "upload-" not in error
             assert (shown(tmp_path), hidden(tmp_path)) == ({name: mine}, [content])
-            for asked in ("files", "thing.files"):
+            for asked in ("files", "object.files"):
                 assert kept not in str(await page.do(do=asked))
             await page.do(do="upload.drop", file=kept)
             assert hidden(tmp_path) == []
@@ -354,17 +354,17 @@ def test_an_upload_gets_into_the_folder_once_it_was_read_and_taken(tmp_path, nam
 
 
 def test_an_upload_that_fits_no_more_waits_again_and_a_name_that_is_taken_meanwhile_stays(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.studio.editor.things.MAX_THINGS", 1)
+    monkeypatch.setattr("warpcage.studio.editor.objects.MAX_OBJECTS", 1)
     field = saved(tiny_field().save, "ball.npz")
 
     async def test(host, page):
         kept = await sent(host, "ball.npz", field, page)
-        assert "at most 1" in await page.refused(do="thing.add", file=kept)
+        assert "at most 1" in await page.refused(do="object.add", file=kept)
         assert (shown(tmp_path), hidden(tmp_path)) == ({}, [field])
-        monkeypatch.setattr("warpcage.studio.editor.things.MAX_THINGS", 2)
+        monkeypatch.setattr("warpcage.studio.editor.objects.MAX_OBJECTS", 2)
         (tmp_path / "ball.npz").write_bytes(b"mine")
-        await page.do(do="thing.add", file=kept)
-        assert host.session.document.things[1].file == "ball-2.npz"
+        await page.do(do="object.add", file=kept)
+        assert host.session.document.objects[1].file == "ball-2.npz"
         assert shown(tmp_path) == {"ball.npz": b"mine", "ball-2.npz": field}
 
     with_pages(test, tmp_path)
@@ -421,7 +421,7 @@ def test_what_a_killed_editor_leaves_is_removed_and_nothing_else(tmp_path):
         assert len(list(tmp_path.glob(".warpcage-upload-*-killed.npz"))) == 1
 
         async def test(host, page):
-            assert await page.do(do="thing.files") == {"files": ["a.npz"]}
+            assert await page.do(do="object.files") == {"files": ["a.npz"]}
             assert not list(tmp_path.glob(".warpcage-upload-*-killed.npz"))
             assert len(list(tmp_path.glob(".warpcage-upload-*-runs.npz"))) == 1  # its editor has not ended
             assert len(list(tmp_path.glob(".warpcage-upload-*-lock"))) == 2

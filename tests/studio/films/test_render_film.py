@@ -108,7 +108,7 @@ def test_a_camera_turns_around_what_is_seen(field, tmp_path):
     assert read_film_frame(still).shape == (24, 32, 3)
 
 
-def test_things_of_a_stage_are_where_their_places_are(field, tmp_path):
+def test_objects_of_a_stage_are_where_their_places_are(field, tmp_path):
     stage = Stage().add("ball", field, place=PlaceFile({0.0: Place(), 0.25: Place((0.5, 0.0, 0.0))}))
     stage.time = 0.1
     paths = warpcage.render_film(stage, tmp_path / "film", camera=CAMERA, fps=8, format="npz")
@@ -206,7 +206,7 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(deformer, tmp_path, option
     assert list(tmp_path.iterdir()) == []
 
 
-def test_other_things_than_scenes_and_films_are_refused(deformer, field, tmp_path):
+def test_other_objects_than_scenes_and_films_are_refused(deformer, field, tmp_path):
     refused(lambda: warpcage.render_film(field, tmp_path / "film", poses=BENDS), match="a Deformer, got a VoxelField")
     refused(lambda: warpcage.render_film(BOX, tmp_path / "film"), match="Deformer or a Stage, got Cage")
     refused(lambda: warpcage.render_film(deformer, tmp_path / "film.avi"), match="must end in .mp4")

@@ -69,7 +69,7 @@ def test_files_of_other_systems(tmp_path):
 def test_items_survive_json():
     entries = [
         FRAME | {"extra": {"seed": 3}, "size": 80, "background": [0, 0.5, 1], "supersampling": 2, "resolution": 48},
-        without(FRAME, "cage", "posed") | {"edits": [EDIT, {"cage": "d.obj", "remove": True, "crumbs": 0.1}]},
+        without(FRAME, "cage", "posed") | {"edits": [EDIT, {"cage": "d.obj", "remove": True, "fragments": 0.1}]},
         without(FRAME, "cage", "posed") | {"edits": [EDIT | {"falloff": 0.1, "held": [3, 5], "up": "y", "keep": True}]},
         without(FRAME, "cage", "posed"),
         FRAME | {"posed": DRAWN},
@@ -97,6 +97,10 @@ def test_a_file_has_the_first_version_that_has_all_of_its_words(tmp_path):
     for item, defaults in [(FRAME | {"moments": [{}]}, {}), ({"id": "a"}, FRAME | {"moments": [{}]})]:
         write_jobs(path, [item], defaults=without(defaults, "id"))
         assert JobFile(path).header["version"] == 3
+    small, older = EDIT | {"fragments": 0.1}, EDIT | {"crumbs": 0.1}
+    for item, defaults in [({"edits": [small]}, {}), ({}, {"edits": [older]}), ({}, small), (older, {})]:
+        write_jobs(path, [without(FRAME, "cage", "posed") | item], defaults=defaults)
+        assert JobFile(path).header["version"] == 4 and JobFile(path).item(0).edits[0].fragments == 0.1
     edits = {"edits": [EDIT, EDIT | {"posed": DRAWN}]}
     for item, defaults in [(without(FRAME, "cage", "posed") | edits, {}), (FRAME, edits)]:
         write_jobs(path, [item], defaults=defaults)
@@ -114,7 +118,7 @@ def test_drawn_poses_of_one_meaning_are_one_pose():
 
 
 def test_the_words_of_an_edit_are_those_of_a_cage_edit():
-    names = set(CageEdit.__dataclass_fields__) - {"cage", "keep_source", "fragments"} | {"keep", "crumbs"}
+    names = set(CageEdit.__dataclass_fields__) - {"cage", "keep_source"} | {"keep"}
     assert names <= set(FrameItem.known)
 
 
@@ -253,7 +257,7 @@ def test_items_are_refused_with_file_and_line(case, tmp_path):
 LINES = {
     "no header": ([FRAME], "line 1: it is not the header of a job file"),
     "another format": ([{"format": "warpcage poses", "version": 1}], "not 'warpcage jobs'"),
-    "a newer version": ([HEADER | {"version": 4}], "line 1: its version is 4, this warpcage reads up to 3: upgrade"),
+    "a newer version": ([HEADER | {"version": 5}], "line 1: its version is 5, this warpcage reads up to 4: upgrade"),
     "no version": ([without(HEADER, "version")], "its version must be a whole number"),
     "a default with a slip": ([HEADER | {"defaults": {"fieldx": "f"}}], "line 1: 'defaults' has no 'fieldx'"),
     "a default of a wrong kind": (

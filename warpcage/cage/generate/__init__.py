@@ -249,10 +249,13 @@ def simplified(
     if vertex_count >= len(cage.vertices):
         raise InputError(f"the cage has {len(cage.vertices)} vertices already: ask for fewer, got {vertex_count}")
     margin = checked_margin(margin)
-    thing = cage if mesh is None and field is None else mesh
+    scene_object = cage if mesh is None and field is None else mesh
     spacing, slack, points = cage.size / 96.0, 0.0, []
-    if thing is not None:
-        vertices, faces = np.asarray(thing.vertices, dtype=np.float64), np.asarray(thing.faces, dtype=np.int64)
+    if scene_object is not None:
+        vertices, faces = (
+            np.asarray(scene_object.vertices, dtype=np.float64),
+            np.asarray(scene_object.faces, dtype=np.int64),
+        )
         points += [vertices, surface_points(vertices, faces, 0.5 * spacing)]
         slack = 0.29 * spacing  # how far a face may lie off the points on it
     if field is not None:
@@ -262,6 +265,6 @@ def simplified(
     if not any(map(len, points)):
         raise InputError("there is nothing to enclose: the object is empty")
     # part by part: few vertices tell most objects that are not enclosed from those that are
-    if thing is not cage and not all(inside_mesh(part, cage).all() for part in points):
+    if scene_object is not cage and not all(inside_mesh(part, cage).all() for part in points):
         raise InputError("the cage does not enclose the object even before: check(field=...) says where")
     return simplified_cage(cage.vertices, cage.faces, np.concatenate(points), spacing, slack + margin, vertex_count)

@@ -66,7 +66,7 @@ def has_splats(path: pathlib.Path) -> bool:
 
 
 def gltf_counts(path: pathlib.Path) -> dict[str, int]:
-    """How many of each kind of thing the scene of a file holds."""
+    """How many of each kind of object the scene of a file holds."""
     with errors_of_file(path):
         document, _ = opened(path)
         parts = [document["meshes"][mesh]["primitives"] for mesh, _ in mesh_nodes(document)]

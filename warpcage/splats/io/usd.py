@@ -90,7 +90,7 @@ def splat_prims(stage: Any) -> Iterator[Any]:
 
 
 def usd_counts(path: pathlib.Path) -> dict[str, int]:
-    """How many of each kind of thing a stage holds, those of instances too."""
+    """How many of each kind of object a stage holds, those of instances too."""
     pxr, stage = usd_library(), opened_stage(path)
     with errors_of_stage(path):
         prims = list(stage.Traverse(pxr.Usd.TraverseInstanceProxies()))
@@ -149,9 +149,9 @@ def _shown_prims(path: pathlib.Path, found: list[Any]) -> list[Any]:
 def _is_shown(prim: Any) -> bool:
     """Whether a prim is visible, and neither a guide nor a stand-in of another one."""
     geometry = usd_library().UsdGeom
-    thing, words = geometry.Imageable(prim), geometry.Tokens
-    hidden = thing.ComputeVisibility(usd_library().Usd.TimeCode.EarliestTime()) == words.invisible
-    return not hidden and thing.ComputePurpose() not in (words.proxy, words.guide)
+    scene_object, words = geometry.Imageable(prim), geometry.Tokens
+    hidden = scene_object.ComputeVisibility(usd_library().Usd.TimeCode.EarliestTime()) == words.invisible
+    return not hidden and scene_object.ComputePurpose() not in (words.proxy, words.guide)
 
 
 def _first_time(path: pathlib.Path, prims: list[Any]) -> Any:

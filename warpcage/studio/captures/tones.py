@@ -39,8 +39,8 @@ KNEE = 0.5
 
 def transfer_of(frame: Any, context: Any = None) -> str:
     """ "HLG" or "PQ" for a frame, "" for others; context: the stream's codec, which older versions of PyAV ask."""
-    for thing in (frame, context):
-        number = getattr(thing, "color_trc", None)
+    for scene_object in (frame, context):
+        number = getattr(scene_object, "color_trc", None)
         if number is not None and int(number) in TRANSFERS:
             return TRANSFERS[int(number)]
     return ""

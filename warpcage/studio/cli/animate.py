@@ -26,23 +26,23 @@ from ...view.film import checked_rate
 from ..editor.document import Document
 from ..editor.exports import DEFAULT_SIZE, export_film, film_look
 from ..editor.exports import Film as SessionFilm
+from ..editor.objects import read_fields, require_alone
 from ..editor.pictures.scene import view_camera
 from ..editor.session import read_session
-from ..editor.things import read_fields, require_alone
 from ..editor.timeline import document_at, frame_rate, frame_times
 from ..films.edits import Deformation
 from ..films.film import Film
 from ..films.folder import checked_film_path
 from ..films.render import require_voxels
 from ..films.timeline import MovingScene, Timeline
-from ..jobs.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs, frame_words
+from ..jobs.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs, frame_spec
 from ..jobs.items import ID
 from . import shared
 from .arguments import options
 from .arguments.render import OF_SESSIONS, Default
 from .cameras import camera_track, check_saved, image_size, save_cameras, warn_of_edges
 from .render import checked_opacity, seen_points, size_text, warn_of_masks
-from .shared import read_deformation, read_things, things_of
+from .shared import objects_of, read_deformation, read_objects
 
 #: Endings of job files.
 JOB_ENDINGS = (".jsonl", ".json")
@@ -75,7 +75,7 @@ def run_animate(args: argparse.Namespace) -> None:
         args.device = "cpu"
     if not here and (args.add or shared.is_stage(args.field)):
         raise InputError("--workers and --jobs render one field: leave them out for a scene of several objects")
-    field, stage = read_things(args)
+    field, stage = read_objects(args)
     if not here and getattr(args, "is_moved", False):
         raise InputError(
             "--workers and --jobs render the field as its file has it: write it where its dataset is first, with "
@@ -87,14 +87,14 @@ def run_animate(args: argparse.Namespace) -> None:
     rate = args.fps if "fps" in given else None
     reader = shared.edit_reader(args, args.interpolation, timed=not given & {"motion", "interpolation"}, fps=rate)
     deformation = read_deformation(args, field, reader)
-    things = things_of(args, field, stage, reader)
+    objects = objects_of(args, field, stage, reader)
     timed: PoseFile | PlaceFile | None = None if deformation is None else deformation.film
-    if things is not None and (timed is not None or deformation is None):  # poses without times keep to --frames
-        timed = things.longest(timed)
+    if objects is not None and (timed is not None or deformation is None):  # poses without times keep to --frames
+        timed = objects.longest(timed)
     set_frames(args, timed, given)
-    points = seen_points(field, deformation, args, things)
+    points = seen_points(field, deformation, args, objects)
     timeline = Timeline(args.frames, args.fps, deformation, timed, args.loop, args.motion, args.interpolation)
-    track, scene = camera_track(args, field, timeline, points), MovingScene(field, timeline, things)
+    track, scene = camera_track(args, field, timeline, points), MovingScene(field, timeline, objects)
     film = Film(args.frames, track, scene, shared.chosen_look(args), args.shutter)
     cameras = film.cameras
     warn_of_edges(args, cameras[0], deformation)
@@ -109,7 +109,7 @@ def run_animate(args: argparse.Namespace) -> None:
     if args.overlay and args.show != "rgb":
         raise InputError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
     deformer = None if deformation is None else shared.deformer_options(args)
-    words = frame_words(film.look, deformer, scale=film.scale, scene_scale=args.scene_scale) | {"outputs": parts}
+    words = frame_spec(film.look, deformer, scale=film.scale, scene_scale=args.scene_scale) | {"outputs": parts}
     rate = {"frames": args.frames, "fps": str(args.fps)}
     job = FilmJob(args.field, words, [] if deformation is None else deformation.edits, {"film": rate})
     if jobs is not None:
@@ -185,8 +185,8 @@ def _render(args: argparse.Namespace, film: Film, scene: MovingScene, output: pa
             film.write(output, args.fps, loop=args.loop != "once", numbers=numbers)
     else:
         settings = _settings(args, film.cameras, scene.timeline.deformation)
-        if scene.things is not None:
-            settings["things"] = scene.things.fingerprints()
+        if scene.objects is not None:
+            settings["objects"] = scene.objects.fingerprints()
         kept = film.write_folder(output, settings, overwrite=bool(args.overwrite), told=told)
     _say(film, scene, output, kept)
     warn_of_masks(film.mask_shares, "the film")
@@ -294,8 +294,8 @@ def session_job(
     settings, edits = document.settings, [edit for edit in document.edits if edit.visible]
     options = {name: getattr(settings, name) for name in ("coordinates", "resolution", "density")}
     look, outputs = film_look(document, field, film), {"outputs": {"rgb": f"{ID}.png"}}
-    words = frame_words(look, None, scene_scale=scene_scale) | outputs  # these first: files stay as they were
-    words |= frame_words(look, options if edits else None, scene_scale=scene_scale)
+    words = frame_spec(look, None, scene_scale=scene_scale) | outputs  # these first: files stay as they were
+    words |= frame_spec(look, options if edits else None, scene_scale=scene_scale)
     times = frame_times(document.timeline)
 
     def frames() -> Iterator[FilmFrame]:

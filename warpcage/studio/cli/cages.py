@@ -36,11 +36,11 @@ from ...select.selection import NodeSelection, select_nodes
 from ...splats.io import splat_path
 from ...splats.splat_field import load_field
 from ...view.camera import CameraKey
+from ..editor.objects import stage_field
 from ..editor.session import free_session_path, session_path
-from ..editor.things import stage_field
 from ..films.edits import Deformation, PosedEdit, read_edits_file, write_edits_file
 from ..films.render import require_voxels
-from ..films.words import ending, note_jumps, pose_file, read_film, read_pose, read_poses, read_rest, say_standing
+from ..films.resolve import ending, note_jumps, pose_file, read_film, read_pose, read_poses, read_rest, say_standing
 from . import shared
 from .arguments import options
 from .cameras import named_camera
@@ -63,21 +63,21 @@ def run_cage(args: argparse.Namespace) -> None:
     is_field = shared.is_field(args.field)
     if is_field and args.object is not None:
         raise InputError(f"--object names an object of a mesh file, {args.field!r} is a field")
-    thing: Any = shared.read_field(args) if is_field else read_mesh(args.field, args.object)
+    scene_object: Any = shared.read_field(args) if is_field else read_mesh(args.field, args.object)
     if args.snap is not None:
         if not is_field:
             raise InputError(f"--snap needs a field (.npz), got {args.field!r}")
-        _snap(require_voxels(thing, "--snap"), args, output)
+        _snap(require_voxels(scene_object, "--snap"), args, output)
         return
     if any(value is not None for value in _selection(args).values()):
-        thing = _selected(thing, is_field, args)
+        scene_object = _selected(scene_object, is_field, args)
     if args.box or args.cylinder:
-        mesh = extract_mesh(thing, components="all") if is_field else thing
+        mesh = extract_mesh(scene_object, components="all") if is_field else scene_object
         cage = _box_around(mesh, args) if args.box else _cylinder_around(mesh, args)
     else:
         make = Cage.from_field if is_field else Cage.from_mesh
         cage = make(
-            thing,
+            scene_object,
             vertex_count=args.vertices or 100,
             margin=args.margin,
             method=args.method or "auto",
@@ -209,8 +209,8 @@ def run_check(args: argparse.Namespace) -> int:
         None if args.repair is None else options.check_output(args.repair, tuple(mesh_endings("write")), "cage file")
     )
 
-    thing = _enclosed(args)
-    reference = next(iter(thing.values()), None)
+    scene_object = _enclosed(args)
+    reference = next(iter(scene_object.values()), None)
     cage, standing = load_standing(
         Cage, args.cage, up=args.cage_up, reference=reference, anywhere=True, object=args.cage_object
     )
@@ -221,7 +221,7 @@ def run_check(args: argparse.Namespace) -> int:
     if output is not None:
         cage, notes = cage.repair()
         cage.save(output)
-    report = cage.check(**thing, pose=pose)
+    report = cage.check(**scene_object, pose=pose)
     if args.json:
         print(json.dumps(report.as_dict() | {"file": args.cage, "repaired": list(notes)}, indent=1))
     else:

@@ -26,8 +26,8 @@ from ...view.camera_file import camera_program
 from ...view.camera_path import CameraMove, MovingCamera, camera_moves
 from ...view.motion import cameras_along
 from ..films.edits import Deformation
+from ..films.resolve import file_and_name
 from ..films.timeline import SIDES, CameraTrack, Timeline, keyed_track, middle, moving_track
-from ..films.words import file_and_name
 from .arguments import options
 
 #: Width and height of a picture where none is given.

@@ -38,7 +38,7 @@ from ...view.motion import frame_times
 from ...view.pictures import write_png
 from ..films.edits import Deformation
 from ..films.render import require_voxels
-from ..films.words import read_rest
+from ..films.resolve import read_rest
 from . import shared
 from .arguments import options
 from .cameras import camera_file, check_saved, chosen_camera, save_cameras, scene_cameras
@@ -97,7 +97,7 @@ def run_bake(args: argparse.Namespace) -> None:
 
 
 def _bake_stage(args: argparse.Namespace) -> None:
-    """Merge the things of a stage file."""
+    """Merge the objects of a stage file."""
     given = ("frames", "overwrite", "selection", "cage", "edit", "edits", "frame_file")
     if wrong := [name for name in given if getattr(args, name) not in (None, False)]:
         raise InputError(f"--{wrong[0]} does not go with a scene file, whose objects are merged as they are")

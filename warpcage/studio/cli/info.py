@@ -18,7 +18,7 @@ from ...core.kernel_files import copy_kernel, find_kernel, kernel_groups, kernel
 from ...core.modules import start_warp
 from ...core.names import counted
 from ...core.threads import cpu_threads
-from ...edits.place import PLACE_WORDS, PlaceFile
+from ...edits.place import PLACE_KEYS, PlaceFile
 from ...edits.stage_file import read_stage_file
 from ...errors import InputError, MissingFileError
 from ...field.surroundings import LayeredBackground, OuterField
@@ -301,7 +301,7 @@ def _json(path: pathlib.Path) -> Rows:
             return [("kind", f"cameras of {program}"), *_cameras(path)[1:]]
         if content.keys() == {"transform", "scale"}:
             raise InputError("a frame of nerfstudio (dataparser_transforms.json): give it as --frame, beside its field")
-        kind = content.get("format", "warpcage place" if content.keys() & PLACE_WORDS else None)  # made by hand
+        kind = content.get("format", "warpcage place" if content.keys() & PLACE_KEYS else None)  # made by hand
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     if kind == "warpcage session":
@@ -358,12 +358,19 @@ def _edits(path: pathlib.Path) -> Rows:
 
 
 def _stage(path: pathlib.Path) -> Rows:
-    things = read_stage_file(path)
-    rows: Rows = [("kind", "scene file"), ("objects", len(things))]
-    for thing in things:
-        cages = counted(len(thing["deformation"]["edits"]), "edit") if "deformation" in thing else "no edits"
-        hidden = ", hidden" if thing.get("hidden") else ""
-        rows.append((f"object {thing['name']!r}", f"{thing['field']}, {cages}, {_placed(thing['place'])}{hidden}"))
+    objects = read_stage_file(path)
+    rows: Rows = [("kind", "scene file"), ("objects", len(objects))]
+    for scene_object in objects:
+        cages = (
+            counted(len(scene_object["deformation"]["edits"]), "edit") if "deformation" in scene_object else "no edits"
+        )
+        hidden = ", hidden" if scene_object.get("hidden") else ""
+        rows.append(
+            (
+                f"object {scene_object['name']!r}",
+                f"{scene_object['field']}, {cages}, {_placed(scene_object['place'])}{hidden}",
+            )
+        )
     return [*rows, ("file", _file_size(path))]
 
 
@@ -374,7 +381,7 @@ def _place(path: pathlib.Path) -> Rows:
 
 
 def _placed(places: PlaceFile) -> str:
-    """Where a thing stands, or how long it moves."""
+    """Where an object stands, or how long it moves."""
     if len(places.places) > 1:
         return f"moves through {counted(len(places.places), 'place')} in {places.length:g} s"
     place = next(iter(places.places.values()))

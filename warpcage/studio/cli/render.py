@@ -26,12 +26,12 @@ from ...view.pictures import picture_cuts, write_png
 from ..films.edits import Deformation
 from ..films.film import Film, Moment
 from ..films.render import Scene, drawn_cages, picture_task, require_voxels
-from ..films.timeline import Things
+from ..films.timeline import Objects
 from . import shared
 from .arguments import options
 from .arguments.render import STEPS
 from .cameras import camera_file, camera_keys, check_saved, chosen_camera, save_cameras, sized_cameras, warn_of_edges
-from .shared import read_deformation, read_things, things_of
+from .shared import objects_of, read_deformation, read_objects
 
 
 def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
@@ -82,12 +82,12 @@ def film_of(args: argparse.Namespace, cameras: Sequence[Camera], moment: Moment)
 
 
 def posed_moment(
-    args: argparse.Namespace, field: shared.AnyField, deformation: Deformation | None, things: Things | None
+    args: argparse.Namespace, field: shared.AnyField, deformation: Deformation | None, objects: Objects | None
 ) -> Moment:
     """The scene in its last pose at all times."""
     renderer = shared.posed_renderer(field, deformation, args)
     cages = shared.drawn_cages(renderer, deformation)
-    return lambda frame: (renderer if things is None else things.with_main(renderer), cages)
+    return lambda frame: (renderer if objects is None else objects.with_main(renderer), cages)
 
 
 def run_flight(args: argparse.Namespace) -> None:
@@ -104,13 +104,13 @@ def run_flight(args: argparse.Namespace) -> None:
     check_saved(args)
     if args.cameras == "given" and args.frames is not None:
         raise InputError("--frames belongs to --cameras interpolate")
-    field, stage = read_things(args)
+    field, stage = read_objects(args)
     shared.require_fillable(args, field)
     cameras = chosen_cameras(args)
     deformation = read_deformation(args, field)
-    things = things_of(args, field, stage)
+    objects = objects_of(args, field, stage)
     shared.set_lattice(args, cameras[0])
-    film = film_of(args, cameras, posed_moment(args, field, deformation, things))
+    film = film_of(args, cameras, posed_moment(args, field, deformation, objects))
     save_cameras(args, cameras)
     if output.suffix:
         rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
@@ -144,11 +144,11 @@ def _new_folder(text: str, what: str) -> pathlib.Path:
 
 
 def seen_points(
-    field: shared.AnyField, deformation: Deformation | None, args: argparse.Namespace, things: Things | None
+    field: shared.AnyField, deformation: Deformation | None, args: argparse.Namespace, objects: Objects | None
 ) -> np.ndarray:
     """(n, 3) points around what a picture shows, world units."""
     points = shared.visible_points(field, deformation, args.frame)
-    return points if things is None else things.points(points)
+    return points if objects is None else objects.points(points)
 
 
 def run_many_poses(args: argparse.Namespace) -> None:
@@ -159,12 +159,12 @@ def run_many_poses(args: argparse.Namespace) -> None:
     shared.require_deformation(args, f"the folder {args.output!r}")
     checked_opacity(args, folder)
     check_saved(args)
-    field, stage = read_things(args)
+    field, stage = read_objects(args)
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field, shared.edit_reader(args, "linear"))
     assert deformation is not None
-    things = things_of(args, field, stage)
-    camera = chosen_camera(args, seen_points(field, deformation, args, things))
+    objects = objects_of(args, field, stage)
+    camera = chosen_camera(args, seen_points(field, deformation, args, objects))
     shared.set_lattice(args, camera)
     deformer = shared.make_deformer(field, deformation, args)
     count = max(1, deformation.pose_count - 1)
@@ -175,7 +175,7 @@ def run_many_poses(args: argparse.Namespace) -> None:
             deformer.pose(deformation.at(float(min(number, deformation.pose_count - 1))))
         except ValueError as error:
             raise InputError(f"pose {number} of {count}: {error}") from error
-        return deformer if things is None else things.with_main(deformer), drawn_cages(deformer)
+        return deformer if objects is None else objects.with_main(deformer), drawn_cages(deformer)
 
     digits, ending = max(4, len(str(count))), args.format or "png"
     film_of(args, [camera] * count, moment).write_pictures(
@@ -208,17 +208,17 @@ def run_render(args: argparse.Namespace) -> None:
         shared.require_deformation(args, "--masks")
     if args.save_stage is not None and not shared.is_stage(args.save_stage):
         raise InputError(f"--save-stage writes a file that ends in {STAGE_ENDING}, got {args.save_stage!r}")
-    field, stage = read_things(args)
+    field, stage = read_objects(args)
     if args.masks is not None:
         require_voxels(field, "--masks")
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field)
-    things = things_of(args, field, stage)
+    objects = objects_of(args, field, stage)
 
-    camera = chosen_camera(args, seen_points(field, deformation, args, things))
+    camera = chosen_camera(args, seen_points(field, deformation, args, objects))
     warn_of_edges(args, camera, deformation)
     shared.set_lattice(args, camera)
-    film = film_of(args, [camera], posed_moment(args, field, deformation, things))
+    film = film_of(args, [camera], posed_moment(args, field, deformation, objects))
     image, frame, _ = film.taken(0)
     with picture_cuts(output) as cuts:
         write, _ = picture_task(output, image, frame, camera, cuts)
@@ -233,8 +233,8 @@ def run_render(args: argparse.Namespace) -> None:
             f"not look at the field, which reaches from {places}",
             file=sys.stderr,
         )
-    if args.save_stage is not None and things is not None:
-        things.stage.save(args.save_stage)
+    if args.save_stage is not None and objects is not None:
+        objects.stage.save(args.save_stage)
     names = " and ".join(map(str, [output, *extra.values()]))
     print(f"wrote {names}: {frame.width}x{frame.height}, {100 * float(frame.alpha.mean()):.1f} % covered")
     if args.masks is not None:

@@ -23,7 +23,7 @@ from ...core.threads import cpu_threads
 from ...errors import InputError
 from ...scene.formats.transforms import TransformsCameras
 from ...view.camera import Camera, CameraFile, framing_orbit
-from ..films.words import expected_ups, read_poses, read_rest
+from ..films.resolve import expected_ups, read_poses, read_rest
 from ..jobs.manifest import Part
 from ..jobs.plan import Forecast, foresee
 from ..jobs.run import RunProgress, RunReport, run_jobs

@@ -23,12 +23,12 @@ from ...deform.deformer import Deformer
 from ...deform.stage import Stage
 from ...edits.edits import MAX_CELLS, picture_cells
 from ...edits.place import Place
+from ...edits.spec import EditSpec, held_walls
 from ...edits.stage_file import STAGE_ENDING, free_name
-from ...edits.words import EditWords, held_walls
 from ...errors import InputError
 from ...mesh.queries import inside_mesh
 from ...render.belonging import SceneViews, likeness, mismatch, moved_field, out_of_frame
-from ...render.surface_mesh import load_thing
+from ...render.surface_mesh import load_object
 from ...scene.formats.transforms import FRAME_FILE, read_frame
 from ...scene.load import load_scene
 from ...scene.scene import Scene
@@ -43,7 +43,7 @@ from ..editor.session import read_session
 from ..films import render
 from ..films.edits import Deformation, EditReader, Keyframes, PosedEdit, named, read_edits_file
 from ..films.render import Look
-from ..films.timeline import Things, shown_corners
+from ..films.timeline import Objects, shown_corners
 from .arguments import options
 from .arguments.options import CAGE_ENDINGS, positive_float
 from .cameras import named_scene
@@ -72,7 +72,7 @@ def read_deformation(args: argparse.Namespace, field: AnyField, reader: EditRead
                 "--cage and --posed go together: the cage at rest and the same cage posed (--overlay shows it at rest)"
             )
         texts = args.posed if isinstance(args.posed, list) else [args.posed or "rest"]
-        return Deformation([reader.edit(EditWords(args.cage, texts[0]), texts, field)])
+        return Deformation([reader.edit(EditSpec(args.cage, texts[0]), texts, field)])
     if args.edits is not None:
         return edits_of_file(args.edits, reader, field)
     words = [parse_edit(text) for text in args.edit or ()]
@@ -97,7 +97,7 @@ EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remo
 #: Words after the cages.
 _LAST_WORD = re.compile(r"(keep|remove)|(falloff|fragments|crumbs|held|object)=([^:]*)")
 
-#: A word that is none of them, after a posed cage: only glTF and pose files hold things with names.
+#: A word that is none of them, after a posed cage: only glTF and pose files hold objects with names.
 _SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
 
 #: The cage is what goes up to the first ending of a cage file that a colon or the end follows: so the colon of a
@@ -105,7 +105,7 @@ _SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
 _CAGE = re.compile(rf"(.+?(?:{'|'.join(map(re.escape, CAGE_ENDINGS))}))(?::(.*))?", re.IGNORECASE | re.DOTALL)
 
 
-def parse_edit(text: str) -> EditWords:
+def parse_edit(text: str) -> EditSpec:
     """An edit of --edit: CAGE:POSED, then ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS", ":fragments=SIZE",
     ":object=NAME"."""
     found = _CAGE.fullmatch(text)
@@ -133,7 +133,7 @@ def parse_edit(text: str) -> EditWords:
         words |= {"held": held_walls(words["held"], "held")} if "held" in words else {}
         if not rest and not words.get("remove"):
             raise InputError(f"there is no posed cage: write {EDIT_SHAPE}")
-        return EditWords(cage, rest or None, **words)
+        return EditSpec(cage, rest or None, **words)
     except (ValueError, argparse.ArgumentTypeError) as error:
         raise InputError(f"--edit {text!r}: {error}") from None
 
@@ -387,8 +387,8 @@ def drawn_cages(renderer: AnyField | Deformer, deformation: Deformation | None) 
     return render.drawn_cages(renderer) if isinstance(renderer, Deformer) else deformation.drawn(deformation.posed)
 
 
-def read_things(args: argparse.Namespace) -> tuple[AnyField, Stage | None]:
-    """The field of a command that may show several things, and the stage where its file is one of a stage."""
+def read_objects(args: argparse.Namespace) -> tuple[AnyField, Stage | None]:
+    """The field of a command that may show several objects, and the stage where its file is one of a stage."""
     if args.fill and (args.add or is_stage(args.field)):
         raise InputError("--fill is for one field: leave it out for a scene of several objects")
     if not is_stage(args.field):
@@ -398,15 +398,15 @@ def read_things(args: argparse.Namespace) -> tuple[AnyField, Stage | None]:
     require_field_scale(args)
     stage = Stage.load(args.field, device=chosen_device(args))
     first = next(iter(stage.items.values()))
-    field: Any = first.field  # a mesh may be the first thing too: it is shown as the stage has it
+    field: Any = first.field  # a mesh may be the first object too: it is shown as the stage has it
     args.up = tuple(stage.up) if args.up is None else args.up
     args.straightening = field.straightening if first.places.at(0.0) == Place() else None
     return field, stage
 
 
-def things_of(
+def objects_of(
     args: argparse.Namespace, field: AnyField, stage: Stage | None, reader: EditReader | None = None
-) -> Things | None:
+) -> Objects | None:
     """What stands beside the field of a command, None where it is alone."""
     if stage is None and not args.add and not getattr(args, "save_stage", None):
         return None
@@ -417,10 +417,10 @@ def things_of(
         path, place, edits = parse_add(text)
         name = free_name(pathlib.Path(path).stem, stage.items)
         path = require_file(splat_path(path), "field file")
-        thing: Any = load_thing(path, device=field.device)
+        scene_object: Any = load_object(path, device=field.device)
         if edits is not None:
-            deformation = edits_of_file(edits, reader or edit_reader(args), thing)
-            thing = make_deformer(thing, deformation, args).pose(deformation.posed)
-            moving.append((thing, deformation))
-        stage.add(name, thing, place=place, path=path)
-    return Things(stage, of_file=of_file, moving=moving)
+            deformation = edits_of_file(edits, reader or edit_reader(args), scene_object)
+            scene_object = make_deformer(scene_object, deformation, args).pose(deformation.posed)
+            moving.append((scene_object, deformation))
+        stage.add(name, scene_object, place=place, path=path)
+    return Objects(stage, of_file=of_file, moving=moving)

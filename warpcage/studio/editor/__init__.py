@@ -10,7 +10,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "commands": "COMMANDS moved_keys moved_rest preset_pose replace_cage run_command slide",
         "demo": "demo_files",
         "checks": "MAX_ID MAX_PLACE frozen_vertices parsed_json",
-        "document": "Document Key MAIN Selection Settings Thing Timeline View checked_view new_edit",
+        "document": "Document Key MAIN Selection Settings SceneObject Timeline View checked_view new_edit",
         "edit": "Editor",
         "exports": ("Film export_baked export_cage export_command export_film export_poses film_pictures"),
         "inspection": "Inspector inspect inspector",
@@ -23,7 +23,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "session": "Session file_stamp free_session_path new_document read_session session_path write_session",
         "steps.history": "DEPTH History read_history",
         "steps.losses": "losses",
-        "things": "field_files read_fields stage_of with_new_thing with_stage",
+        "objects": "field_files read_fields stage_of with_new_object with_stage",
         "timeline": (
             "document_at frame_rate frame_times load_poses looped_time place_files placed_at pose_file state_at ways "
             "with_camera_moves with_pose_file"

@@ -16,8 +16,8 @@ from ...errors import InputError
 #: Most vertices of a cage, letters of a name, keys of a timeline and seconds of a film: more is not a person's work.
 MAX_VERTICES, MAX_NAME, MAX_KEYS, MAX_SECONDS = 20_000, 100, 5_000, 3_600.0
 
-#: Most things of a scene.
-MAX_THINGS = 32
+#: Most objects of a scene.
+MAX_OBJECTS = 32
 
 #: Frames per second that a film may have.
 MAX_RATE = 240.0
@@ -50,7 +50,7 @@ CHANGED = {
 }
 
 
-def changed_words(changes: Iterable[str]) -> str:
+def changed_names(changes: Iterable[str]) -> str:
     """What a step changes, in the page's words."""
     return ", ".join(CHANGED.get(name, name) for name in changes)
 

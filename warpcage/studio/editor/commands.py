@@ -13,10 +13,10 @@ from ...cage import poses
 from ...cage.cage import Cage
 from ...coordinates.coordinates import deform_points
 from ...core.checks import AXES, checked_easing
-from ...core.names import FRAGMENTS_WORD, LOOPS
+from ...core.names import LOOPS
 from ...edits.edits import MAX_EDITS
 from ...errors import InputError
-from . import things
+from . import objects
 from .checks import (
     MAX_KEYS,
     MAX_NAME,
@@ -24,7 +24,7 @@ from .checks import (
     MAX_RATE,
     MAX_SECONDS,
     MAX_VERTICES,
-    changed_words,
+    changed_names,
     checked_between,
     checked_choice,
     checked_flag,
@@ -60,8 +60,8 @@ PRESETS = {"bend": 0.0, "twist": 0.0, "taper": 1.0, "stretch": 1.0}
 
 
 def select(document: Document, message: Message) -> Step:
-    """Select vertices of an edit, which becomes the active one, as does its thing; or a thing alone."""
-    selection = checked_selection(message, document.edits, document.things, document.selection.thing)
+    """Select vertices of an edit, which becomes the active one, as does its object; or an object alone."""
+    selection = checked_selection(message, document.edits, document.objects, document.selection.object_id)
     return "select", dataclasses.replace(document, selection=selection)
 
 
@@ -71,7 +71,7 @@ def change_settings(document: Document, message: Message) -> Step:
     if not changes:
         raise InputError("nothing to change: give a setting and its value")
     settings = checked_settings(document.settings, changes)
-    return f"change {changed_words(changes)}", dataclasses.replace(document, settings=settings)
+    return f"change {changed_names(changes)}", dataclasses.replace(document, settings=settings)
 
 
 # -- Poses
@@ -178,7 +178,7 @@ def box_selection(document: Document, message: Message) -> Step:
     size = float(np.ptp(edit.rest, axis=0).max())
     margin = checked_between(message.get("margin", 0.02), 0.0, 1.0, "margin") * size
     cage = Cage.box(low - max(margin, 1e-4 * size), high + max(margin, 1e-4 * size))
-    return with_new_edit(document, cage, thing=edit.thing)
+    return with_new_edit(document, cage, object_id=edit.object_id)
 
 
 def mirror_edit(document: Document, message: Message) -> Step:
@@ -193,7 +193,9 @@ def mirror_edit(document: Document, message: Message) -> Step:
         return frozen_vertices(turned)
 
     name = f"{edit.name[: MAX_NAME - 10]} mirrored"
-    _, document = with_new_edit(document, Cage(mirrored(edit.rest), edit.faces[:, ::-1]), edit.kind, name, edit.thing)
+    _, document = with_new_edit(
+        document, Cage(mirrored(edit.rest), edit.faces[:, ::-1]), edit.kind, name, edit.object_id
+    )
     number = document.edits[-1].id
     keys = [
         dataclasses.replace(key, poses={**key.poses, number: mirrored(key.poses[edit.id])})
@@ -207,17 +209,17 @@ def mirror_edit(document: Document, message: Message) -> Step:
 
 
 def with_new_edit(
-    document: Document, cage: Cage, kind: str = "move", name: str | None = None, thing: int | None = None
+    document: Document, cage: Cage, kind: str = "move", name: str | None = None, object_id: int | None = None
 ) -> Step:
-    """A document with one more edit, which becomes the active one; thing: that it deforms, None is the active one."""
-    owner = document.thing(document.selection.thing if thing is None else thing).id
+    """A document with one more edit, the active one now; object_id: of what it deforms, None is the active object."""
+    owner = document.scene_object(document.selection.object_id if object_id is None else object_id).id
     count = len(document.edits_of(owner))
     if count >= MAX_EDITS:
         raise InputError(f"a scene takes at most {MAX_EDITS} edits: delete one first")
     number = document.free_id
     edit = new_edit(number, cage, name or f"{KIND_NAMES[kind]} {count + 1}", kind)
-    edits = (*document.edits, dataclasses.replace(edit, thing=owner))
-    selection = Selection(number, document.selection.mode, thing=owner)
+    edits = (*document.edits, dataclasses.replace(edit, object_id=owner))
+    selection = Selection(number, document.selection.mode, object_id=owner)
     return f"add {edit.name}", dataclasses.replace(document, edits=edits, selection=selection, next_id=number + 1)
 
 
@@ -227,8 +229,8 @@ def delete_edit(document: Document, message: Message) -> Step:
     edits = tuple(edit for edit in document.edits if edit.id != gone.id)
     selection = document.selection
     if selection.edit == gone.id:
-        others = [edit.id for edit in edits if edit.thing == gone.thing]
-        selection = Selection(others[-1] if others else None, selection.mode, thing=gone.thing)
+        others = [edit.id for edit in edits if edit.object_id == gone.object_id]
+        selection = Selection(others[-1] if others else None, selection.mode, object_id=gone.object_id)
     document = dataclasses.replace(document, edits=edits, selection=selection)
     return f"delete {gone.name}", _with_key_poses(document, gone.id, lambda pose: None)
 
@@ -243,14 +245,14 @@ def change_edit(document: Document, message: Message) -> Step:
     if "visible" in message:
         changes["visible"] = checked_flag(message["visible"], "visible")
     if not changes:
-        raise InputError("nothing to change: give a name, a kind, visible, falloff, held or " + FRAGMENTS_WORD)
-    label = f"{changed_words(changes)} of {edit.name}"
+        raise InputError("nothing to change: give a name, a kind, visible, falloff, held or fragments")
+    label = f"{changed_names(changes)} of {edit.name}"
     return label, document.with_edit(dataclasses.replace(edit, **changes))
 
 
 def order_edits(document: Document, message: Message) -> Step:
-    """Put the edits of the active thing in another order."""
-    numbers, own = message["ids"], document.edits_of(document.selection.thing)
+    """Put the edits of the active object in another order."""
+    numbers, own = message["ids"], document.edits_of(document.selection.object_id)
     if not isinstance(numbers, list) or sorted(map(repr, numbers)) != sorted(repr(edit.id) for edit in own):
         raise InputError("ids must name every edit once")
     others = tuple(edit for edit in document.edits if edit not in own)
@@ -273,10 +275,10 @@ def subdivide_cage(document: Document, message: Message) -> Step:
     return "subdivide", _with_cage(document, edit, finer, posed)
 
 
-def with_cage(document: Document, number: int | None, cage: Cage, label: str, thing: int) -> Step:
-    """A cage for an edit, as `replace_cage` does it, or for a new one of a thing where the number is None."""
+def with_cage(document: Document, number: int | None, cage: Cage, label: str, object_id: int) -> Step:
+    """A cage for an edit, as `replace_cage` does it, or for a new one of an object where the number is None."""
     if number is None:
-        return with_new_edit(document, cage, thing=thing)
+        return with_new_edit(document, cage, object_id=object_id)
     return replace_cage(document, number, cage, label)
 
 
@@ -371,7 +373,7 @@ def change_timeline(document: Document, message: Message) -> Step:
     if not changes:
         raise InputError("nothing to change: give length, fps or loop")
     follows = document.timeline.follows_keys and "length" not in changes
-    return f"film {changed_words(changes)}", document.with_timeline(**changes, follows_keys=follows)
+    return f"film {changed_names(changes)}", document.with_timeline(**changes, follows_keys=follows)
 
 
 def free_name(document: Document) -> str:
@@ -397,7 +399,7 @@ COMMANDS: dict[str, Callable[[Document, Message], Step]] = {
     "key.change": change_key,
     "key.delete": delete_key,
     "timeline": change_timeline,
-    **things.COMMANDS,
+    **objects.COMMANDS,
 }
 
 
@@ -414,7 +416,7 @@ def run_command(document: Document, message: Message) -> Step:
 def _with_cage(document: Document, edit: Edit, cage: Cage, posed: Callable[[np.ndarray], np.ndarray]) -> Document:
     """The document with another cage for an edit; posed: carries vertices of a pose over."""
     fresh = new_edit(edit.id, cage, edit.name, edit.kind, posed(edit.posed))
-    kept = {name: getattr(edit, name) for name in ("visible", "falloff", "held", "fragments", "thing")}
+    kept = {name: getattr(edit, name) for name in ("visible", "falloff", "held", "fragments", "object_id")}
     document = document.with_edit(dataclasses.replace(fresh, **kept))
     document = _with_key_poses(document, edit.id, lambda pose: frozen_vertices(posed(pose), len(cage.vertices)))
     if document.selection.edit == edit.id:
@@ -446,7 +448,9 @@ def _filled(document: Document, key: Key, message: Message) -> Key:
     if checked_flag(message.get("pose", False), "pose"):
         key = dataclasses.replace(key, poses={edit.id: edit.posed for edit in document.edits} or None)
         if document.is_staged or any(one.places is not None for one in document.timeline.keys):
-            key = dataclasses.replace(key, places={thing.id: thing.place for thing in document.things})
+            key = dataclasses.replace(
+                key, places={scene_object.id: scene_object.place for scene_object in document.objects}
+            )
     if checked_flag(message.get("camera", False), "camera"):
         key = dataclasses.replace(key, view=document.view)
     return key

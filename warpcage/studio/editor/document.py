@@ -1,4 +1,4 @@
-"""What is edited: things, edits, poses, keys, view and settings; a command makes a new document from the old one."""
+"""What is edited: objects, edits, poses, keys, view and settings; a command makes a new document from the old one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from ...cage.cage import Cage
 from ...core.checks import checked_easing, shown
-from ...core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, FRAGMENTS_WORD, LOOPS, Easing, edit_fields
+from ...core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, LOOPS, Easing, renamed_keys
 from ...edits.edits import HELD, MAX_EDITS, CageEdit
 from ...edits.place import Place
 from ...errors import InputError
@@ -19,9 +19,9 @@ from ...view.frame import MAX_SUPERSAMPLING, parse_background
 from .checks import (
     MAX_ID,
     MAX_KEYS,
+    MAX_OBJECTS,
     MAX_RATE,
     MAX_SECONDS,
-    MAX_THINGS,
     MAX_VERTICES,
     RESOLUTIONS,
     checked_between,
@@ -39,6 +39,9 @@ from .checks import (
 SHOWN = ("rgb", "disparity", "alpha", "masks")
 
 MODES = ("pose", "rest", "place")
+
+#: Keys of sessions up to version 2, by their names now.
+OLD_KEYS = {"fragments": "crumbs", "object": "thing", "objects": "things"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +69,7 @@ class Settings:
     supersampling: int = 1  # rays along each side of a pixel, in pictures that rest
     show: str = "rgb"  # one of SHOWN
     mode: str = "pose"  # "pose": the posed cage and deformed scene; "rest": the cage at rest and the scene as captured;
-    # "place": the deformed scene, whose things are moved as wholes
+    # "place": the deformed scene, whose objects are moved as wholes
     fill: bool = False  # background that no picture showed, in pictures that rest; see `fill_unseen`
 
 
@@ -129,7 +132,7 @@ KINDS = ("move", "copy", "remove")
 
 PICKS = ("vertex", "edge", "face")
 
-#: How many times as small or large a thing may be made.
+#: How many times as small or large an object may be made.
 SCALES = (1e-6, 1e6)
 
 #: Largest width of a falloff and size of fragments, world units.
@@ -147,15 +150,15 @@ class Sliders:
     amounts: Mapping[str, float]  # by preset, in the order in which they act
 
 
-#: The number of the thing that a session begins with: the field that it is of.
+#: The number of the object that a session begins with: the field that it is of.
 MAIN = 0
 
 
 @dataclasses.dataclass(frozen=True)
-class Thing:
+class SceneObject:
     """One field of the scene, in a place of its own; its edits are in its own coordinates."""
 
-    id: int  # that no other thing, edit or key of the session has had; MAIN for the session's own field
+    id: int  # that no other object, edit or key of the session has had; MAIN for the session's own field
     name: str
     file: str | None = None  # of its field, seen from the session's folder; None is the session's own field
     place: Place = dataclasses.field(default_factory=Place)
@@ -177,7 +180,7 @@ class Edit:
     falloff: float = 0.0  # width of the band at held walls in which the edit fades to rest, world units; see `CageEdit`
     held: str = "cut"  # the walls that are held: "cut" or "still"
     fragments: float = 0.0  # size of the fragments that go with the part, world units
-    thing: int = MAIN  # the number of the thing that it deforms, in whose coordinates it is
+    object_id: int = MAIN  # the number of the object that it deforms, in whose coordinates it is
     moved_sliders: Sliders | None = dataclasses.field(default=None, compare=False)  # the last ones; not in files
 
     @property
@@ -220,7 +223,7 @@ class Selection:
     edit: int | None = None
     mode: str = "vertex"  # what a click picks, one of PICKS
     vertices: tuple[int, ...] = ()  # numbers of those of the active edit, ascending
-    thing: int = MAIN  # the active thing, of which the edit is one
+    object_id: int = MAIN  # the active object, of which the edit is one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -233,7 +236,7 @@ class Key:
     easing: Easing = "smooth"  # how the way from here to the next key goes
     poses: Mapping[int, np.ndarray] | None = None  # posed vertices (v, 3) by the number of the edit
     view: View | None = None
-    places: Mapping[int, Place] | None = None  # by the number of the thing
+    places: Mapping[int, Place] | None = None  # by the number of the object
 
     @property
     def is_empty(self) -> bool:
@@ -242,7 +245,7 @@ class Key:
 
     @property
     def held_places(self) -> Mapping[int, Place]:
-        """The places that it holds. A pose without places is of a time when the only thing stood in its own place."""
+        """The places that it holds. A pose without places is of a time when the only object stood in its own place."""
         return self.places if self.places is not None else {} if self.poses is None else {MAIN: Place()}
 
 
@@ -261,14 +264,14 @@ class Timeline:
 class Document:
     """All that a session edits."""
 
-    edits: tuple[Edit, ...]  # of all things; those of each in the order in which they act
+    edits: tuple[Edit, ...]  # of all objects; those of each in the order in which they act
     selection: Selection
     settings: Settings
     view: View
     timeline: Timeline
     time: float = 0.0  # where the timeline stands, seconds
-    next_id: int = 1  # of the next thing, edit or key
-    things: tuple[Thing, ...] = (Thing(MAIN, "scene"),)  # the session's own field first
+    next_id: int = 1  # of the next object, edit or key
+    objects: tuple[SceneObject, ...] = (SceneObject(MAIN, "scene"),)  # the session's own field first
 
     def edit(self, number: int) -> Edit:
         """An edit by its number. Raises ValueError where there is none."""
@@ -280,22 +283,22 @@ class Document:
                 return edit
         raise InputError(f"there is no edit {number!r}: it may have been deleted")
 
-    def thing(self, number: int) -> Thing:
-        """A thing by its number. Raises ValueError where there is none."""
-        checked_whole(number, MAIN, MAX_ID, "the number of a thing")
-        for thing in self.things:
-            if thing.id == number:
-                return thing
+    def scene_object(self, number: int) -> SceneObject:
+        """An object by its number. Raises ValueError where there is none."""
+        checked_whole(number, MAIN, MAX_ID, "the number of an object")
+        for scene_object in self.objects:
+            if scene_object.id == number:
+                return scene_object
         raise InputError(f"there is no object {number!r}: it may have been removed")
 
     def edits_of(self, number: int) -> tuple[Edit, ...]:
-        """The edits of a thing, in the order in which they act."""
-        return tuple(edit for edit in self.edits if edit.thing == number)
+        """The edits of an object, in the order in which they act."""
+        return tuple(edit for edit in self.edits if edit.object_id == number)
 
     @property
     def is_staged(self) -> bool:
         """Whether there is more than the session's own field in its own place."""
-        return [thing.place for thing in self.things] != [Place()]
+        return [scene_object.place for scene_object in self.objects] != [Place()]
 
     def key(self, number: int) -> Key:
         """A key by its number. Raises ValueError where there is none."""
@@ -307,7 +310,7 @@ class Document:
 
     @property
     def free_id(self) -> int:
-        """The number of the next thing, edit or key. Raises ValueError where a foreign session has used them up."""
+        """The number of the next object, edit or key. Raises ValueError where a foreign session has used them up."""
         if self.next_id > MAX_ID // 2:
             raise InputError("this session has no numbers left for new objects, edits and keys: begin a new session")
         return self.next_id
@@ -316,9 +319,11 @@ class Document:
         """The document with an edit in the place of the one of the same number."""
         return dataclasses.replace(self, edits=tuple(edit if old.id == edit.id else old for old in self.edits))
 
-    def with_thing(self, thing: Thing) -> Document:
-        """The document with a thing in the place of the one of the same number."""
-        return dataclasses.replace(self, things=tuple(thing if old.id == thing.id else old for old in self.things))
+    def with_object(self, scene_object: SceneObject) -> Document:
+        """The document with an object in the place of the one of the same number."""
+        return dataclasses.replace(
+            self, objects=tuple(scene_object if old.id == scene_object.id else old for old in self.objects)
+        )
 
     def with_key(self, key: Key) -> Document:
         """The document with a key added, or in the place of the one of the same number."""
@@ -337,10 +342,10 @@ class Document:
 
     def to_json(self, own: str = "scene") -> dict[str, Any]:
         """The document as JSON takes it. Numbers keep all their digits.
-        own: what the session's field is called where a file says nothing of things; such a file is that of before."""
+        own: what the session's field is called where a file says nothing of objects; such a file is that of before."""
         content = {
             "edits": [_own_word(edit_json(edit)) for edit in self.edits],
-            "selection": _own_word(dataclasses.asdict(self.selection)),
+            "selection": _own_word(selection_json(self.selection)),
             "settings": dataclasses.asdict(self.settings),
             "view": dataclasses.asdict(self.view),
             "timeline": {
@@ -353,8 +358,8 @@ class Document:
             "time": self.time,
             "next_id": self.next_id,
         }
-        if self.things != (Thing(MAIN, own),):
-            content["things"] = [dataclasses.asdict(thing) for thing in self.things]
+        if self.objects != (SceneObject(MAIN, own),):
+            content["objects"] = [dataclasses.asdict(scene_object) for scene_object in self.objects]
         return content
 
     @classmethod
@@ -375,7 +380,13 @@ class Document:
 
 def _own_word(content: dict[str, Any]) -> dict[str, Any]:
     """What a file says of an edit or a selection: of the session's own field it is not said."""
-    return {word: value for word, value in content.items() if (word, value) != ("thing", MAIN)}
+    return {word: value for word, value in content.items() if (word, value) != ("object", MAIN)}
+
+
+def selection_json(selection: Selection) -> dict[str, Any]:
+    """A selection as JSON takes it."""
+    content = dataclasses.asdict(selection)
+    return content | {"object": content.pop("object_id")}
 
 
 def edit_json(edit: Edit, rows: Callable[[np.ndarray], Any] = np.ndarray.tolist) -> dict[str, Any]:
@@ -390,8 +401,8 @@ def edit_json(edit: Edit, rows: Callable[[np.ndarray], Any] = np.ndarray.tolist)
         "posed": rows(edit.posed),
         "falloff": edit.falloff,
         "held": edit.held,
-        FRAGMENTS_WORD: edit.fragments,
-        "thing": edit.thing,
+        "fragments": edit.fragments,
+        "object": edit.object_id,
     }
 
 
@@ -412,10 +423,10 @@ def checked_walls(content: Mapping[str, Any]) -> dict[str, Any]:
     """What a message or a session says of falloff, held and fragments of an edit: those of them that it has."""
     lengths = {
         word: checked_between(content[word], 0.0, LARGEST_LENGTH, word)
-        for word in ("falloff", FRAGMENTS_WORD)
+        for word in ("falloff", "fragments")
         if word in content
     }
-    return edit_fields(lengths) | ({"held": checked_choice(content["held"], HELD, "held")} if "held" in content else {})
+    return lengths | ({"held": checked_choice(content["held"], HELD, "held")} if "held" in content else {})
 
 
 def key_json(key: Key, rows: Callable[[np.ndarray], Any] = np.ndarray.tolist) -> dict[str, Any]:
@@ -433,20 +444,25 @@ def _document(
 ) -> Document:
     if not isinstance(content, Mapping):
         raise InputError(f"a session must be a dictionary, got {type(content).__name__}")
-    things = tuple(_thing(one) for one in checked_items(content.get("things", _ONE_THING), MAX_THINGS, "things"))
-    edits = tuple(edit(one) for one in checked_items(content["edits"], MAX_EDITS * len(things), "edits"))
+    content = renamed_keys(content, OLD_KEYS)
+    objects = tuple(_object(one) for one in checked_items(content.get("objects", _ONE_OBJECT), MAX_OBJECTS, "objects"))
+    edits = tuple(edit(one) for one in checked_items(content["edits"], MAX_EDITS * len(objects), "edits"))
     sizes = {one.id: len(one.rest) for one in edits}
-    if not things or things[0].id != MAIN or not {one.thing for one in edits} <= {thing.id for thing in things}:
+    if (
+        not objects
+        or objects[0].id != MAIN
+        or not {one.object_id for one in edits} <= {scene_object.id for scene_object in objects}
+    ):
         raise InputError("the objects of the session must begin with its own scene file, and hold all of its edits")
     film = content["timeline"]
     keys = tuple(key(one, sizes) for one in checked_items(film["keys"], MAX_KEYS, "keys"))
-    numbers = [one.id for one in (*edits, *keys, *things)]
+    numbers = [one.id for one in (*edits, *keys, *objects)]
     if len(set(numbers)) < len(numbers):
         raise InputError("two objects, edits or keys of the session have the same number")
     length = checked_between(film["length"], 0.0, MAX_SECONDS, "length")
     return Document(
         edits,
-        checked_selection(content["selection"], edits, things),
+        checked_selection(content["selection"], edits, objects),
         checked_settings(Settings(), content["settings"]),
         checked_view(content["view"]),
         Timeline(
@@ -458,30 +474,31 @@ def _document(
         ),
         checked_between(content["time"], 0.0, MAX_SECONDS, "time"),
         max([checked_whole(content["next_id"], 1, MAX_ID + 1, "next_id"), *(number + 1 for number in numbers)]),
-        things,
+        objects,
     )
 
 
-#: The things of a session that says nothing of them.
-_ONE_THING = ({"id": MAIN, "name": "scene"},)
+#: The objects of a session that says nothing of them.
+_ONE_OBJECT = ({"id": MAIN, "name": "scene"},)
 
 
 def checked_selection(
-    content: Mapping[str, Any], edits: Sequence[Edit], things: Sequence[Thing], before: int = MAIN
+    content: Mapping[str, Any], edits: Sequence[Edit], objects: Sequence[SceneObject], before: int = MAIN
 ) -> Selection:
-    """A selection from edit, mode and vertices, and thing where there is no edit; `before` where it names none."""
+    """A selection from edit, mode and vertices, and object where there is no edit; `before` where it names none."""
+    content = renamed_keys(content, OLD_KEYS)
     number = content["edit"]
     if number is None:
-        thing, size = content.get("thing", before), 0
-        if checked_whole(thing, MAIN, MAX_ID, "the number of a thing") not in [one.id for one in things]:
-            raise InputError(f"there is no object {thing!r}: it may have been removed")
+        scene_object, size = content.get("object", before), 0
+        if checked_whole(scene_object, MAIN, MAX_ID, "the number of an object") not in [one.id for one in objects]:
+            raise InputError(f"there is no object {scene_object!r}: it may have been removed")
     else:
         edit = next((edit for edit in edits if edit.id == checked_id(number, "the number of an edit")), None)
         if edit is None:
             raise InputError(f"there is no edit {number!r}: it may have been deleted")
-        thing, size = edit.thing, len(edit.rest)
+        scene_object, size = edit.object_id, len(edit.rest)
     mode = checked_choice(content["mode"], PICKS, "mode")
-    return Selection(number, mode, checked_vertices(content["vertices"], size), thing)
+    return Selection(number, mode, checked_vertices(content["vertices"], size), scene_object)
 
 
 def checked_place(content: Any) -> Place:
@@ -492,23 +509,24 @@ def checked_place(content: Any) -> Place:
     return Place(**triples, scale=checked_between(content.get("scale", 1.0), *SCALES, "scale"))
 
 
-def _thing(content: Mapping[str, Any]) -> Thing:
+def _object(content: Mapping[str, Any]) -> SceneObject:
     number, file = checked_whole(content["id"], MAIN, MAX_ID, "id"), content.get("file")
     if not isinstance(file, str | None) or (number == MAIN and file is not None):
         raise InputError(f"the file of object {number} of the session must be a name; the first one has none")
     flags = {name: checked_flag(content[name], name) for name in ("visible", "locked") if name in content}
-    return Thing(number, checked_name(content["name"]), file, checked_place(content.get("place", {})), **flags)
+    return SceneObject(number, checked_name(content["name"]), file, checked_place(content.get("place", {})), **flags)
 
 
 def checked_edit(content: Mapping[str, Any]) -> Edit:
     """An edit from what `edit_json` made, or somebody else."""
+    content = renamed_keys(content, OLD_KEYS)
     vertices = checked_items(content["rest"], MAX_VERTICES, "rest")
     cage = Cage(frozen_vertices(vertices), np.asarray(checked_items(content["faces"], 4 * MAX_VERTICES, "faces")))
     number = checked_id(content["id"], "id")
     edit = new_edit(number, cage, content["name"], content["kind"], content["posed"])
-    thing = checked_whole(content.get("thing", MAIN), MAIN, MAX_ID, "the number of a thing")
+    scene_object = checked_whole(content.get("object", MAIN), MAIN, MAX_ID, "the number of an object")
     visible = checked_flag(content["visible"], "visible")
-    return dataclasses.replace(edit, visible=visible, thing=thing, **checked_walls(content))
+    return dataclasses.replace(edit, visible=visible, object_id=scene_object, **checked_walls(content))
 
 
 def checked_key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:

@@ -17,12 +17,12 @@ from ...core.checks import checked_whole, require_type
 from ...core.files import PathLike
 from ...errors import InputError, MissingPackageError
 from ...field.voxel_field import VoxelField
-from ...render.surface_mesh import load_thing
+from ...render.surface_mesh import load_object
 from ...splats.splat_field import AnyField, SplatField, load_field
 from .document import Document
-from .session import Session, file_stamp, new_document, read_kept, session_path, thing_name, view_of_box
+from .objects import is_stage, read_fields, stage_field, with_stage
+from .session import Session, file_stamp, new_document, object_name, read_kept, session_path, view_of_box
 from .steps.history import read_history
-from .things import is_stage, read_fields, stage_field, with_stage
 
 #: Cells of a new session's lattices along the longest side of a cage, on a CPU and on CUDA.
 RESOLUTION_CPU, RESOLUTION_CUDA = 64, 128
@@ -68,7 +68,7 @@ class Editor:
 
     @property
     def posed(self) -> list[Cage]:
-        """The posed cages, one per edit, each in the coordinates of its thing."""
+        """The posed cages, one per edit, each in the coordinates of its object."""
         return [edit.posed_cage for edit in self.document.edits]
 
     def wait(self) -> None:
@@ -139,7 +139,7 @@ def edit(
 
     Args:
         field: The field, of voxels or of splats, or its file; then the session is kept beside it, as
-            `NAME.session.json`. The file may be that of a stage (.stage.json), whose things are all shown.
+            `NAME.session.json`. The file may be that of a stage (.stage.json), whose objects are all shown.
         cage: The cage at rest, or several, one per edit. None goes on with the session that is there, or begins
             without a cage.
         session: The session's file. None is the one beside the field's file; a field from memory is not kept.
@@ -196,16 +196,16 @@ def edit(
         document, steps, exports = read_kept(kept, loaded)
     else:
         resolution = RESOLUTION_CPU if loaded.device.is_cpu else RESOLUTION_CUDA
-        document = new_document(loaded, cages, resolution, "scene" if given is None else thing_name(given))
+        document = new_document(loaded, cages, resolution, "scene" if given is None else object_name(given))
     folder = (kept.parent if kept is not None else pathlib.Path.cwd()).resolve()
     if stage is not None and stamp is None:
         if cages:
-            raise InputError("the things of a stage file have cages of their own: leave the cages out")
+            raise InputError("the objects of a stage file have cages of their own: leave the cages out")
         document = with_stage(document, stage.resolve(), folder)
     fields = read_fields(document, loaded, folder)
     if stage is not None and stamp is None:
-        up = document.things[0].place.rotation @ loaded.up
+        up = document.objects[0].place.rotation @ loaded.up
         document = dataclasses.replace(document, view=view_of_box(fields.bounds(document), up))
-    history, lost = read_history(steps, fields, lambda file: load_thing(folder / file, device=loaded.device))
+    history, lost = read_history(steps, fields, lambda file: load_object(folder / file, device=loaded.device))
     held = Session(fields, document, kept, given, stamp, scene_scale, history, lost, exports)
     return Editor(held, folder, host, port, allowed_hosts)

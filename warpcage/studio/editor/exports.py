@@ -112,9 +112,9 @@ def film_pictures(
         except ValueError as error:
             raise InputError(f"at {times[number]:.3f} s of the film: {error}") from error
         cages = []
-        for thing in now.things:
-            edits = [edit for edit in now.edits_of(thing.id) if edit.visible and edit.kind != "remove"]
-            cages += [Cage(thing.place.moved(edit.posed), edit.faces) for edit in edits if thing.visible]
+        for scene_object in now.objects:
+            edits = [edit for edit in now.edits_of(scene_object.id) if edit.visible and edit.kind != "remove"]
+            cages += [Cage(scene_object.place.moved(edit.posed), edit.faces) for edit in edits if scene_object.visible]
         return scene.stage or scene.posed(MAIN), cages
 
     def track(frames: Sequence[float]) -> list[Camera]:
@@ -144,7 +144,7 @@ def export_baked(document: Document, field: AnyField | Fields, path: PathLike, r
     """Write the scene, deformed by the poses of now, as a field of its own, whole or not at all; returns that field.
     Without visible edits it is the field. A file of voxels ends in .npz. What `report` raises ends the work."""
     fields = Fields.of(field)
-    kinds = {type(fields.field(thing)) for thing in document.things if thing.visible}
+    kinds = {type(fields.field(scene_object)) for scene_object in document.objects if scene_object.visible}
     if SplatField in kinds:
         format_to_write(path)
     elif pathlib.Path(path).suffix.lower() != ".npz":

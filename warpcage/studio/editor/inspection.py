@@ -19,7 +19,7 @@ from ...core.names import error_line
 from ...mesh.faces import column_cross, column_dot, face_edges
 from ...mesh.queries import inside_mesh, intersecting_faces
 from ...mesh.validity import first_problem
-from ...render.surface_mesh import AnyThing, SurfaceMesh
+from ...render.surface_mesh import AnyObject, SurfaceMesh
 from ...select.selection import visible_mask
 from .checks import MAX_LINE
 from .document import Document, Edit
@@ -55,7 +55,7 @@ class RestFindings:
 class Inspector:
     """Checks edits in one field. Any thread may use it, one at a time."""
 
-    def __init__(self, field: AnyThing):
+    def __init__(self, field: AnyObject):
         import trimesh.sample
 
         self._lower = np.array(field.bounds[0])
@@ -121,17 +121,17 @@ class Inspector:
         return np.logical_and(there, self._mask[tuple(np.moveaxis(cells, -1, 0))])
 
 
-_inspectors: weakref.WeakKeyDictionary[AnyThing, Inspector] = weakref.WeakKeyDictionary()
+_inspectors: weakref.WeakKeyDictionary[AnyObject, Inspector] = weakref.WeakKeyDictionary()
 
 
-def inspector(field: AnyThing) -> Inspector:
+def inspector(field: AnyObject) -> Inspector:
     """The inspector of a field, made once; it knows which of the field's voxels can be seen."""
     if field not in _inspectors:
         _inspectors[field] = Inspector(field)
     return _inspectors[field]
 
 
-def inspect(document: Document, number: int, field: AnyThing) -> dict[str, Any]:
+def inspect(document: Document, number: int, field: AnyObject) -> dict[str, Any]:
     """Check an edit, as pages show it: the section `check`.
     Shares are folded and outside of the posed cage's inside, inside of what is visible (or None); leaks are at rest."""
     edit = document.edit(number)
@@ -256,7 +256,9 @@ class Checker:
 
     def _look(self, document: Document, number: int) -> dict[str, Any]:
         try:
-            return inspect(document, number, self._session.fields.field(document.thing(document.edit(number).thing)))
+            return inspect(
+                document, number, self._session.fields.field(document.scene_object(document.edit(number).object_id))
+            )
         except Exception as error:
             if not isinstance(error, ValueError | MemoryError | ArithmeticError | RuntimeError):
                 _log.exception("a cage could not be checked")

@@ -277,7 +277,7 @@ class Server:
             if len(client.slow) >= MAX_SLOW:
                 raise InputError(f"{MAX_SLOW} commands of this page are under way already: wait for them")
             return self.tasks.handle(message)
-        if do == "thing.pick":
+        if do == "object.pick":
             return self._pick(message)
         if do == "camera.outside":
             return {"keys": len(framed_views(session.document, session.fields, message["aspect"]))}
@@ -321,10 +321,10 @@ class Server:
         return None
 
     def _begin(self, client: Client, message: dict[str, Any]) -> None:
-        """A hand begins to move a cage, or a thing."""
+        """A hand begins to move a cage, or an object."""
         client.strayed = False
         if message["do"] == "place.begin":
-            self.session.begin_placing(client, message["thing"], checked_name(message.get("label", "move")))
+            self.session.begin_placing(client, message["object"], checked_name(message.get("label", "move")))
             return
         edit = self.session.document.edit(message["edit"])
         if message["do"] == "drag.begin":
@@ -335,18 +335,18 @@ class Server:
         self.session.begin_gesture(client, edit.id, "preset", chosen)
 
     def _place(self, client: Client, message: dict[str, Any]) -> None:
-        """A hand moves a thing."""
-        if self.session.place(client, message["thing"], message["matrix"]):
+        """A hand moves an object."""
+        if self.session.place(client, message["object"], message["matrix"]):
             client.sequence = checked_whole(message["seq"], 0, 2**32 - 1, "seq")
         else:
             self._stray(client)
 
     async def _pick(self, message: dict[str, Any]) -> dict[str, int | None]:
-        """Which thing a click meets, in the scene of the last picture."""
+        """Which object a click meets, in the scene of the last picture."""
         across, down = (checked_between(message[name], 0.0, 1.0, name) for name in ("across", "down"))
         aspect, view = checked_between(message["aspect"], 0.05, 20.0, "aspect"), self.session.document.view
-        answer = self.renderer.ask(lambda scene: scene.thing_at(view, across, down, aspect))
-        return {"thing": await asyncio.wrap_future(answer)}
+        answer = self.renderer.ask(lambda scene: scene.object_at(view, across, down, aspect))
+        return {"object": await asyncio.wrap_future(answer)}
 
     def _look(self, client: Client, message: dict[str, Any]) -> None:
         """A page looks from somewhere else."""
@@ -375,8 +375,8 @@ class Server:
 
     @property
     def _edits(self) -> tuple[Edit, ...]:
-        """The edits that pages know: those of the active thing."""
-        return self.session.document.edits_of(self.session.document.selection.thing)
+        """The edits that pages know: those of the active object."""
+        return self.session.document.edits_of(self.session.document.selection.object_id)
 
     def _on_change(self, names: set[str]) -> None:
         """Collect what changed until the loop is free again."""
@@ -390,7 +390,7 @@ class Server:
 
     def _flush_changes(self) -> None:
         self._flush, changed, self._changed = None, self._changed, set()
-        if changed & {"edits", "vertices", "settings", "view", "playback", "things"}:
+        if changed & {"edits", "vertices", "settings", "view", "playback", "objects"}:
             self._request_picture()
         if not self.clients:
             return

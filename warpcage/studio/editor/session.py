@@ -19,15 +19,29 @@ from ...cage.cage import Cage
 from ...core.arrays import box_corners
 from ...core.checks import listed
 from ...core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
-from ...core.names import error_line
+from ...core.names import error_line, renamed_keys
 from ...errors import InputError
-from ...render.surface_mesh import AnyThing, thing_size
+from ...render.surface_mesh import AnyObject, object_size
 from ...splats.splat_field import AnyField
 from ...view.camera import framing_orbit
 from ...view.motion import frame_count
-from . import commands, things, timeline
+from . import commands, objects, timeline
 from .checks import MAX_LINE, MAX_NAME, frozen_vertices
-from .document import MAIN, Document, Edit, Selection, Settings, Sliders, Thing, Timeline, View, edit_json, new_edit
+from .document import (
+    MAIN,
+    OLD_KEYS,
+    Document,
+    Edit,
+    SceneObject,
+    Selection,
+    Settings,
+    Sliders,
+    Timeline,
+    View,
+    edit_json,
+    new_edit,
+    selection_json,
+)
 from .pictures.scene import Fields
 from .steps.history import History, seen_as
 from .steps.losses import losses
@@ -36,10 +50,8 @@ from .steps.losses import losses
 SCRUB = "scrub"
 
 
-FORMAT, VERSION = "warpcage session", 2
-
-#: The version that a session is written with which has a field in its own place alone, as it was before.
-ONE_THING = 1
+#: Version 2 has several objects, 3 has them and fragments by these names; all are read.
+FORMAT, VERSION = "warpcage session", 3
 
 #: How the name of a field's session ends: `lego.npz` has `lego.session.json`.
 ENDING = ".session.json"
@@ -119,9 +131,9 @@ def write_session(
     history: its steps, see `History.to_json`; exports: what it wrote into its folder."""
     content = {
         "format": FORMAT,
-        "version": VERSION if document.is_staged else ONE_THING,
+        "version": VERSION,
         "field": {"name": field_name, "bounds": field.bounds.tolist()},
-        "document": document.to_json("scene" if field_name is None else thing_name(field_name)),
+        "document": document.to_json("scene" if field_name is None else object_name(field_name)),
     } | ({} if history is None else {"history": history})
     if exports:
         content["exports"] = [dataclasses.asdict(export) for export in exports]
@@ -159,21 +171,21 @@ def read_kept(path: PathLike, field: AnyField | None = None) -> tuple[Document, 
 
 
 def _named(document: Document, content: Any) -> Document:
-    """The document of a file's content; one that says nothing of things names its only one as its field."""
+    """The document of a file's content; one that says nothing of objects names its only one as its field."""
     name = content.get("field", {}).get("name")
-    if "things" in content["document"] or not isinstance(name, str):
+    if "objects" in renamed_keys(content["document"], OLD_KEYS) or not isinstance(name, str):
         return document
-    return document.with_thing(dataclasses.replace(document.things[0], name=thing_name(name)))
+    return document.with_object(dataclasses.replace(document.objects[0], name=object_name(name)))
 
 
-def thing_name(path: PathLike) -> str:
-    """What a thing is called by the file of its field: its name without endings."""
+def object_name(path: PathLike) -> str:
+    """What an object is called by the file of its field: its name without endings."""
     name = pathlib.PurePath(path).name.split(".")[0][:MAX_NAME]
     return name if name.strip() and name.isprintable() else "scene"
 
 
 #: Parts of the document that pages are told of.
-PARTS = ("edits", "selection", "settings", "view", "timeline", "things")
+PARTS = ("edits", "selection", "settings", "view", "timeline", "objects")
 
 #: Where a new session looks from, degrees, and its vertical field of view.
 ELEVATION, AZIMUTH, FOV = 25.0, -60.0, 40.0
@@ -222,9 +234,9 @@ class Session:
             self.saved = _iso(datetime.datetime.fromtimestamp(stamp[0] / 1e9))
 
     @property
-    def active_field(self) -> AnyThing:
-        """The field of the active thing, in whose coordinates its cages are."""
-        return self.fields.field(self.document.thing(self.document.selection.thing))
+    def active_field(self) -> AnyObject:
+        """The field of the active object, in whose coordinates its cages are."""
+        return self.fields.field(self.document.scene_object(self.document.selection.object_id))
 
     # -- Changes
 
@@ -245,7 +257,7 @@ class Session:
         return {"note": notes[0]}
 
     def frame_keys(self, message: dict[str, Any]) -> None:
-        """Make the cameras of all keys see all shown things, as one step; see `timeline.framed_views`."""
+        """Make the cameras of all keys see all shown objects, as one step; see `timeline.framed_views`."""
         aspect = message["aspect"]
         self.change(lambda now: ("move camera keys", timeline.with_framed_views(now, self.fields, aspect)))
 
@@ -328,18 +340,18 @@ class Session:
         return True
 
     def begin_placing(self, owner: object, number: int, label: str) -> None:
-        """Begin to move a thing as a whole; see `begin_gesture`."""
+        """Begin to move an object as a whole; see `begin_gesture`."""
         self.end_gesture()
-        thing = self.document.thing(number)
-        if thing.locked:
-            raise things.locked_error(thing)
+        scene_object = self.document.scene_object(number)
+        if scene_object.locked:
+            raise objects.locked_error(scene_object)
         self._gesture = Gesture(owner, self.document, None, label, None)
 
     def place(self, owner: object, number: int, matrix: Any) -> bool:
-        """Put the thing of a gesture where a similarity (4, 4) takes it; see `move`."""
+        """Put the object of a gesture where a similarity (4, 4) takes it; see `move`."""
         if not self.is_moved_by(owner):
             return False
-        self._take(things.with_place(self.document, number, matrix), {"places"})
+        self._take(objects.with_place(self.document, number, matrix), {"places"})
         return True
 
     def end_gesture(self, owner: object = None, cancel: bool = False) -> None:
@@ -395,7 +407,7 @@ class Session:
         """Whether something that keys move is not where the film has it at the present time."""
         document = self.document
         poses, _ = timeline.state_at(document, document.time)
-        return timeline.placed_at(document, document.time).things != document.things or any(
+        return timeline.placed_at(document, document.time).objects != document.objects or any(
             edit.id in poses and not np.array_equal(edit.posed, poses[edit.id]) for edit in document.edits
         )
 
@@ -410,11 +422,11 @@ class Session:
         changed = {part for part in PARTS if getattr(document, part) is not getattr(self.document, part)}
         if document.time != self.document.time:
             changed.add("playback")
-        if document.selection.thing != self.document.selection.thing:
-            changed.add("edits")  # pages are told of those of the active thing
+        if document.selection.object_id != self.document.selection.object_id:
+            changed.add("edits")  # pages are told of those of the active object
         self.document = document
         changed = (changed - set(without)) | set(more)
-        if changed & {"edits", "timeline", "things", "history"}:
+        if changed & {"edits", "timeline", "objects", "history"}:
             changed.add("playback")  # which says whether keys hold what is seen
         if self._gesture is None:
             self.settled = document
@@ -428,29 +440,35 @@ class Session:
         """One section of the document or the history, as JSON takes it."""
         document = self.document
         if name == "edits":
-            edits = document.edits_of(document.selection.thing)
+            edits = document.edits_of(document.selection.object_id)
             return [edit_json(edit) | {"sliders": _sliders_json(edit.sliders)} for edit in edits]
-        if name == "things":
-            return [self._thing_section(thing) for thing in document.things]
+        if name == "objects":
+            return [self._object_section(scene_object) for scene_object in document.objects]
         if name == "timeline":
             film, ways = document.timeline, timeline.ways(document)
             keys = [
                 {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing, "way": ways.get(key.id)}
                 | {"pose": bool(key.held_places) or key.poses is not None, "camera": key.view is not None}
-                | {"edits": sorted(key.poses or {}), "things": sorted(key.held_places)}
+                | {"edits": sorted(key.poses or {}), "objects": sorted(key.held_places)}
                 for key in film.keys
             ]
             told = {name: getattr(film, name) for name in ("length", "fps", "loop")}
             return {"keys": keys, "frames": frame_count(**told), "follows_keys": film.follows_keys, **told}
         if name == "history":
             return self.history.summary()
+        if name == "selection":
+            return selection_json(document.selection)
         return dataclasses.asdict(getattr(document, name))
 
-    def _thing_section(self, thing: Thing) -> dict[str, Any]:
-        """A thing as pages are told of it, with the box and the kind of its field."""
-        field = self.fields.field(thing)
-        told = {"bounds": field.bounds.tolist(), "size": thing_size(field), "matrix": thing.place.matrix.tolist()}
-        return dataclasses.asdict(thing) | told
+    def _object_section(self, scene_object: SceneObject) -> dict[str, Any]:
+        """An object as pages are told of it, with the box and the kind of its field."""
+        field = self.fields.field(scene_object)
+        told = {
+            "bounds": field.bounds.tolist(),
+            "size": object_size(field),
+            "matrix": scene_object.place.matrix.tolist(),
+        }
+        return dataclasses.asdict(scene_object) | told
 
     # -- The file
 
@@ -464,7 +482,7 @@ class Session:
             and all(getattr(kept, part) is getattr(document, part) for part in ("edits", "timeline"))
             and all(
                 getattr(kept, part) == getattr(document, part)
-                for part in ("selection", "settings", "view", "time", "things")
+                for part in ("selection", "settings", "view", "time", "objects")
             )
         )
 
@@ -506,7 +524,7 @@ class Gesture:
 
     owner: object
     before: Document  # the document before it; so is the edit
-    edit: Edit | None  # None where a thing is moved as a whole
+    edit: Edit | None  # None where an object is moved as a whole
     label: str  # of the step that it becomes
     chosen: tuple[int, ...] | None  # vertices that a preset acts on, None for all
     rest: bool = False  # whether the cage at rest was moved
@@ -517,9 +535,9 @@ def new_document(field: AnyField, cages: Iterable[Cage] = (), resolution: int = 
     edits = tuple(new_edit(number, cage, f"Move {number}") for number, cage in enumerate(cages, start=1))
     view = view_of_box(field.bounds, np.asarray(field.up, np.float64))
     selection = Selection(edits[0].id if edits else None)
-    settings, own = Settings(resolution=resolution), Thing(MAIN, name)
+    settings, own = Settings(resolution=resolution), SceneObject(MAIN, name)
     film = Timeline(follows_keys=True)
-    return Document(edits, selection, settings, view, film, next_id=len(edits) + 1, things=(own,))
+    return Document(edits, selection, settings, view, film, next_id=len(edits) + 1, objects=(own,))
 
 
 def view_of_box(bounds: np.ndarray, up: np.ndarray) -> View:
@@ -548,7 +566,7 @@ def _triple(vector: np.ndarray) -> tuple[float, float, float]:
 def _same(one: Document, two: Document) -> bool:
     """Whether two documents are equal in all that the history keeps."""
     return all(getattr(one, part) is getattr(two, part) for part in PARTS if part != "view") or (
-        all(getattr(one, part) == getattr(two, part) for part in ("selection", "settings", "things"))
+        all(getattr(one, part) == getattr(two, part) for part in ("selection", "settings", "objects"))
         and len(one.edits) == len(two.edits)
         and all(map(_same_edit, one.edits, two.edits))
         and _same_film(one.timeline, two.timeline)

@@ -28,9 +28,9 @@ from .checks import checked_between, checked_choice, checked_flag, checked_id, c
 from .commands import Step
 from .document import Document
 from .exports import requested_film
+from .objects import ObjectTasks, clicked
 from .session import ENDING, MAX_EXPORTS, Export, Session, Stamp, file_stamp
 from .steps.losses import losses
-from .things import ThingTasks, clicked
 from .work.jobs import Cancelled, Jobs, Outcome, Progress
 from .work.uploads import LOADABLE, MAX_NAME_BYTES, Uploads, shown
 
@@ -94,7 +94,7 @@ class Tasks:
             "export.command": self._export_command,
             "job.cancel": lambda message: self.jobs.cancel(checked_id(message["id"], "the number of a job")),
             "job.clear": self._clear_job,
-            **ThingTasks(self).commands,
+            **ObjectTasks(self).commands,
         }
 
     def handle(self, message: dict[str, Any]) -> Any:
@@ -181,7 +181,7 @@ class Tasks:
         if margin is not None:
             margin = checked_between(margin, 0.0, MAX_MARGIN, "margin")
         document, field = self.session.document, self.session.active_field
-        choose, thing = clicked(document, field, message.get("click")), document.selection.thing
+        choose, scene_object = clicked(document, field, message.get("click")), document.selection.object_id
 
         def work(progress: Progress) -> Outcome:
             progress(None, "looks for the surface and draws a cage around it")
@@ -189,7 +189,7 @@ class Tasks:
             make: Any = Cage.from_mesh if isinstance(around, SurfaceMesh) else Cage.from_field
             cage = make(around, count, margin=margin, method=method, symmetry=symmetry)
             progress(0.95, "adds it to the scene")
-            self._hand_over(lambda document: commands.with_cage(document, number, cage, "generate cage", thing))
+            self._hand_over(lambda document: commands.with_cage(document, number, cage, "generate cage", scene_object))
             return Outcome(f"a cage of {len(cage.vertices)} vertices{_around(around)}")
 
         return self.jobs.start(f"Cage of {count} vertices", "cage", work)
@@ -212,7 +212,7 @@ class Tasks:
     async def _load_cage(self, message: dict[str, Any]) -> None:
         """A cage from a file, for an edit or as a new one."""
         path, number = self.uploads.find(message["file"]), message.get("edit")
-        field, thing = self.session.active_field, self.session.document.selection.thing
+        field, scene_object = self.session.active_field, self.session.document.selection.object_id
         up = _axis(message, "up", ("y", "z"))
         if number is not None:
             self.session.document.edit(number)
@@ -225,7 +225,7 @@ class Tasks:
         cage, standing = await self.read(load)
         with self.uploads.taken(path) as kept:
             label = _loaded(kept, standing)
-            await self.change(lambda document: commands.with_cage(document, number, cage, label, thing))
+            await self.change(lambda document: commands.with_cage(document, number, cage, label, scene_object))
 
     async def _load_pose(self, message: dict[str, Any]) -> None:
         """A posed cage from a file, in any order that `Cage.match` takes."""

@@ -27,7 +27,7 @@ from .checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, checked_between, checked_na
 from .document import Document, Key, Timeline, View
 from .pictures.scene import Fields, view_camera
 
-#: Keys and what each of them holds of one edit, thing or camera.
+#: Keys and what each of them holds of one edit, object or camera.
 _Track: TypeAlias = Sequence[tuple[Key, np.ndarray]]
 
 #: Width and height of the pictures of cameras in pose files, pixels.
@@ -53,26 +53,26 @@ MIN_FOV, LARGEST_FOV = 1.0, 150.0
 
 
 def place_files(document: Document) -> dict[int, PlaceFile]:
-    """The places of things that keys hold, by the number of the thing; none where all keys are of a field in its own
+    """The places of objects that keys hold, by the number of the object; none where all keys are of a field in its own
     place."""
     keys, loop = document.timeline.keys, document.timeline.loop
     if all(key.places is None for key in keys):
         return {}
     found = {}
-    for thing in document.things:
-        held = [key for key in keys if thing.id in key.held_places]
+    for scene_object in document.objects:
+        held = [key for key in keys if scene_object.id in key.held_places]
         if held:
-            places = {key.time: key.held_places[thing.id] for key in held}
-            found[thing.id] = PlaceFile(places, {key.time: key.easing for key in held}, loop)
+            places = {key.time: key.held_places[scene_object.id] for key in held}
+            found[scene_object.id] = PlaceFile(places, {key.time: key.easing for key in held}, loop)
     return found
 
 
 def placed_at(document: Document, time: float) -> Document:
-    """The document with the places of things that its film has at a time, seconds; what is still stays as it is."""
+    """The document with the places of objects that its film has at a time, seconds; what is still stays as it is."""
     for number, file in place_files(document).items():
-        thing = document.thing(number)
-        if (place := file.at(time)) != thing.place:
-            document = document.with_thing(dataclasses.replace(thing, place=place))
+        scene_object = document.scene_object(number)
+        if (place := file.at(time)) != scene_object.place:
+            document = document.with_object(dataclasses.replace(scene_object, place=place))
     return document
 
 
@@ -91,7 +91,7 @@ def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], Vi
 
 def ways(document: Document) -> dict[int, tuple[float, list[float]]]:
     """By the number of a key with poses or places: the time of the next ones, and how far they have gone to these, 0 to
-    1, at even times. That of the edit or thing that moves most; keys from which nothing moves are left out."""
+    1, at even times. That of the edit or object that moves most; keys from which nothing moves are left out."""
     farthest: dict[int, float] = {}
     found = {}
     for track, value_at in _moving(document):
@@ -110,7 +110,7 @@ def ways(document: Document) -> dict[int, tuple[float, list[float]]]:
 
 
 def _moving(document: Document) -> Iterator[tuple[_Track, Callable[[float], np.ndarray]]]:
-    """Keys with the poses of each edit and the matrices of each thing's places, and what gives these at a time."""
+    """Keys with the poses of each edit and the matrices of each object's places, and what gives these at a time."""
     for track in _pose_tracks(document).values():
         yield track, functools.partial(_value_at, track, closed=_closes(document.timeline, track))
     for number, file in place_files(document).items():
@@ -255,18 +255,20 @@ def _followed_place(document: Document, time: float) -> np.ndarray:
     if now.selection.edit is None:
         raise InputError("choose the cage to follow first")
     edit = now.edit(now.selection.edit)
-    return now.thing(edit.thing).place.moved(edit.posed).mean(axis=0)
+    return now.scene_object(edit.object_id).place.moved(edit.posed).mean(axis=0)
 
 
 def framed_views(document: Document, fields: Fields, aspect: float) -> dict[int, View]:
-    """For each key whose camera does not see all shown things at its time, by its number: the view that does.
+    """For each key whose camera does not see all shown objects at its time, by its number: the view that does.
     It looks the same way, from farther back. aspect: width of the picture by its height."""
     found, aspect = {}, checked_between(aspect, 0.05, 20.0, "aspect")
     for key in document.timeline.keys:
-        things = [thing for thing in placed_at(document, key.time).things if thing.visible]
-        if key.view is None or not things:
+        objects = [scene_object for scene_object in placed_at(document, key.time).objects if scene_object.visible]
+        if key.view is None or not objects:
             continue
-        places = np.concatenate([thing.place.moved(box_corners(fields.field(thing).bounds)) for thing in things])
+        places = np.concatenate(
+            [scene_object.place.moved(box_corners(fields.field(scene_object).bounds)) for scene_object in objects]
+        )
         pose = view_camera(key.view, *PICTURE).camera_to_world
         tall = math.tan(math.radians(key.view.fov) / 2)
         slopes = np.array([tall * aspect, tall])
@@ -286,7 +288,7 @@ def framed_views(document: Document, fields: Fields, aspect: float) -> dict[int,
 
 
 def with_framed_views(document: Document, fields: Fields, aspect: float) -> Document:
-    """A document in which the cameras of all keys see all shown things, see `framed_views`."""
+    """A document in which the cameras of all keys see all shown objects, see `framed_views`."""
     found = framed_views(document, fields, aspect)
     if not found:
         raise InputError("all camera keys see everything already")

@@ -9,7 +9,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "film": "Film",
         "folder": "atomic_folder checked_film_path frame_files frame_path make_folder",
         "render": "Look",
-        "timeline": "MovingScene Things Timeline",
-        "words": "read_pose read_poses",
+        "timeline": "MovingScene Objects Timeline",
+        "resolve": "read_pose read_poses",
     },
 )

@@ -19,13 +19,12 @@ from ...cage.cage import Cage
 from ...cage.pose_file import PoseFile, cage_hash
 from ...cage.presets import Preset, is_preset
 from ...core.files import PathLike, atomic_path, path_from, read_json, require_file
-from ...core.names import edit_words
-from ...edits.edits import MAX_EDITS, CageEdit, edit_of_words
-from ...edits.words import EditWords
+from ...edits.edits import MAX_EDITS, CageEdit, edit_from_spec
+from ...edits.spec import EditSpec
 from ...errors import InputError
 from ...splats.splat_field import AnyField
 from ...view.motion import pose_along, value_along
-from .words import expected_ups, only_pose, read_film, read_poses, read_rest
+from .resolve import expected_ups, only_pose, read_film, read_poses, read_rest
 
 
 class Keyframes:
@@ -164,7 +163,7 @@ class EditReader:
     timed: bool = False  # words that say when each pose is reached make a film of their own: see `read_film`
     fps: Fraction | None = None  # rate of numbered cage files in such a film; None is the usual one
 
-    def edits(self, words: Sequence[EditWords], field: AnyField | None = None) -> Deformation:
+    def edits(self, words: Sequence[EditSpec], field: AnyField | None = None) -> Deformation:
         """Several edits; messages say which is wrong. Without a field axes are those of the formats."""
         if len(words) > MAX_EDITS:
             raise InputError(f"a scene takes at most {MAX_EDITS} edits, got {len(words)}")
@@ -174,7 +173,7 @@ class EditReader:
                 parts.append(self.edit(edit, [] if edit.posed is None else [edit.posed], field, part=True))
         return Deformation(parts)
 
-    def edit(self, words: EditWords, texts: list[str], field: AnyField | None, part: bool = False) -> PosedEdit:
+    def edit(self, words: EditSpec, texts: list[str], field: AnyField | None, part: bool = False) -> PosedEdit:
         """An edit with the cages that its words name. texts: those of its poses; part: whether it is one of several."""
         upward = None if field is None else field.up.tolist()
         rest, expected = read_rest(words.cage, words.up or self.up, field, part=part, name=words.object or self.object)
@@ -185,7 +184,7 @@ class EditReader:
                 "held names the sides that an edit fades towards: give it a falloff=WIDTH, or leave held out"
             )
         size = self.fragments if words.fragments is None else words.fragments
-        edit = edit_of_words(dataclasses.replace(words, falloff=falloff, fragments=size), rest)
+        edit = edit_from_spec(dataclasses.replace(words, falloff=falloff, fragments=size), rest)
         if words.remove:
             return PosedEdit(edit, None)
         up = words.up or self.posed_up or self.up
@@ -228,10 +227,11 @@ def _hash(parts: Sequence[object]) -> str:
     return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
 
 
-FORMAT, VERSION = "warpcage edits", 1
+#: Version 2 has fragments, which version 1 calls crumbs; both are read. A file has the first version that has its keys.
+FORMAT, VERSION = "warpcage edits", 2
 
 
-def read_edits_file(path: PathLike) -> list[EditWords]:
+def read_edits_file(path: PathLike) -> list[EditSpec]:
     """The edits of an edits file in their order; paths, relative to its folder there, as this process opens them."""
     path = require_file(path, "edits file")
     try:
@@ -250,32 +250,33 @@ def read_edits_file(path: PathLike) -> list[EditWords]:
         raise InputError(f"{path}: {error}") from None
 
 
-def write_edits_file(path: PathLike, edits: list[EditWords]) -> None:
+def write_edits_file(path: PathLike, edits: list[EditSpec]) -> None:
     """Write an edits file, whole or not at all; paths are kept relative to its folder where there is a way."""
     folder = pathlib.Path(path).absolute().parent
-    content = {"format": FORMAT, "version": VERSION, "edits": [_json(edit, folder) for edit in edits]}
+    version = 1 if all(edit.fragments is None for edit in edits) else VERSION
+    content = {"format": FORMAT, "version": version, "edits": [_json(edit, folder) for edit in edits]}
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _words(entry: Any, number: int, folder: pathlib.Path) -> EditWords:
+def _words(entry: Any, number: int, folder: pathlib.Path) -> EditSpec:
     """One edit of a file."""
     # what a later version adds has a higher version: an unknown word is a slip, and would be lost in silence
-    edit = EditWords.from_json(entry, f"edit {number}")
+    edit = EditSpec.from_json(entry, f"edit {number}")
     if not isinstance(edit.cage, str) or not isinstance(edit.posed, str | None):
         raise InputError(f"edit {number}: its cage and its pose must be named in a text, as for --edit")
     return _replaced(edit, lambda path: os.path.join(folder, path))
 
 
-def _json(edit: EditWords, folder: pathlib.Path) -> dict[str, Any]:
+def _json(edit: EditSpec, folder: pathlib.Path) -> dict[str, Any]:
     """An edit as JSON takes it: what differs from the default, a width of 0 too."""
-    words = edit_words({name: getattr(edit, name) for name in ("falloff", "fragments")})
+    widths = {name: getattr(edit, name) for name in ("falloff", "fragments")}
     content = _replaced(edit, lambda path: path_from(folder, path)).to_json()
-    content |= {name: value for name, value in words.items() if value is not None}
+    content |= {name: value for name, value in widths.items() if value is not None}
     return content | ({"held": edit.held_text} if "held" in content else {})
 
 
-def _replaced(edit: EditWords, named: Callable[[str], str]) -> EditWords:
+def _replaced(edit: EditSpec, named: Callable[[str], str]) -> EditSpec:
     """An edit whose files have other names."""
     posed = edit.posed if edit.posed is None or is_preset(edit.posed) else named(edit.posed)
     return dataclasses.replace(edit, cage=named(edit.cage), posed=posed)

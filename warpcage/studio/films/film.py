@@ -229,7 +229,7 @@ def render_film(
         render_film(deformer, "bend.mp4", poses=[cage.bend(degrees) for degrees in range(0, 60, 2)], move="turn:90")
 
     Args:
-        scene: What is shown. Of a Stage, things are where their places are at the time of each frame.
+        scene: What is shown. Of a Stage, objects are where their places are at the time of each frame.
         path: The film, .mp4, .gif, .mov or .webm; or a folder of pictures, which has no ending.
         poses: Of a Deformer, one a frame, each as `Deformer.pose` takes it; or a PoseFile of its one cage, or the file:
             its keys at times, or else a keyframe a frame. None stays in the pose that the Deformer has, which poses of
@@ -408,9 +408,9 @@ class _Shot:
         return self._held[1], drawn_cages(self.scene, self._held[1].deformed)
 
 
-def _all_of(kind: type, things: Any) -> list[Any] | None:
-    """A list that holds things of one kind, and some of them; None for another."""
-    found = list(things) if isinstance(things, Sequence) else []
+def _all_of(kind: type, objects: Any) -> list[Any] | None:
+    """A list that holds objects of one kind, and some of them; None for another."""
+    found = list(objects) if isinstance(objects, Sequence) else []
     return found if found and all(isinstance(each, kind) for each in found) else None
 
 
@@ -451,7 +451,7 @@ def _shown_of(scene: Scene) -> tuple[Any, ...]:
     if not isinstance(scene, Stage):
         return (scene,)  # held, and equal to itself alone: a number of what has gone may come again
     return tuple(
-        (item.thing, item.places.at(scene.time), _pose_bytes(getattr(item.thing, "deformed", None) or ()))
+        (item.scene_object, item.places.at(scene.time), _pose_bytes(getattr(item.scene_object, "deformed", None) or ()))
         for item in scene.items.values()
         if not item.hidden
     )
@@ -469,9 +469,9 @@ def _telling(numbers: Sequence[int], total: int) -> Iterator[int]:
         report_progress(done, total, "film")
 
 
-def _digest(thing: Any) -> str:
+def _digest(scene_object: Any) -> str:
     """sha256 of all that a scene, poses and cameras show, by which a film is known again."""
-    digest, left = hashlib.sha256(), [thing]
+    digest, left = hashlib.sha256(), [scene_object]
     while left:
         each = left.pop()
         if isinstance(each, np.ndarray | wp.array):
@@ -484,24 +484,35 @@ def _digest(thing: Any) -> str:
     return digest.hexdigest()
 
 
-def _parts(thing: Any) -> list[Any] | None:
-    """What a thing is made of; None for a number or a word."""
-    if isinstance(thing, Stage):
-        return [*thing.items, *thing.items.values(), *(getattr(thing[name], "deformed", None) for name in thing.items)]
-    if isinstance(thing, Deformer):
-        return [thing.field, thing.edits, thing.coordinates, thing.resolution, thing.density, thing.map]
-    if isinstance(thing, SplatField):
-        return [thing.contents, thing.view_options()]
-    if isinstance(thing, SurfaceMesh):
-        return [thing.surface, thing.background, thing.supersampling]
-    if isinstance(thing, VoxelField):
-        behind = None if thing.background_model is None else thing.background_model.contents()
-        values = thing.grid.links, thing.grid.density, thing.grid.sh
-        return [thing.bounds, *values, thing.background, thing.supersampling, behind]
-    if isinstance(thing, ClosedMesh):
-        return [thing.vertices, thing.faces]
-    if isinstance(thing, dict | PlaceFile):
-        return [*(thing if isinstance(thing, dict) else thing.to_json()).items()]
-    if isinstance(thing, list | tuple):
-        return list(thing)
-    return list(vars(thing).values()) if dataclasses.is_dataclass(thing) else None
+def _parts(scene_object: Any) -> list[Any] | None:
+    """What an object is made of; None for a number or a word."""
+    if isinstance(scene_object, Stage):
+        return [
+            *scene_object.items,
+            *scene_object.items.values(),
+            *(getattr(scene_object[name], "deformed", None) for name in scene_object.items),
+        ]
+    if isinstance(scene_object, Deformer):
+        return [
+            scene_object.field,
+            scene_object.edits,
+            scene_object.coordinates,
+            scene_object.resolution,
+            scene_object.density,
+            scene_object.map,
+        ]
+    if isinstance(scene_object, SplatField):
+        return [scene_object.contents, scene_object.view_options()]
+    if isinstance(scene_object, SurfaceMesh):
+        return [scene_object.surface, scene_object.background, scene_object.supersampling]
+    if isinstance(scene_object, VoxelField):
+        behind = None if scene_object.background_model is None else scene_object.background_model.contents()
+        values = scene_object.grid.links, scene_object.grid.density, scene_object.grid.sh
+        return [scene_object.bounds, *values, scene_object.background, scene_object.supersampling, behind]
+    if isinstance(scene_object, ClosedMesh):
+        return [scene_object.vertices, scene_object.faces]
+    if isinstance(scene_object, dict | PlaceFile):
+        return [*(scene_object if isinstance(scene_object, dict) else scene_object.to_json()).items()]
+    if isinstance(scene_object, list | tuple):
+        return list(scene_object)
+    return list(vars(scene_object).values()) if dataclasses.is_dataclass(scene_object) else None

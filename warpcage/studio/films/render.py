@@ -21,7 +21,7 @@ from ...deform.stage import Stage
 from ...errors import InputError
 from ...field.voxel_field import VoxelField
 from ...mesh.mesh import ClosedMesh
-from ...render.surface_mesh import AnyThing
+from ...render.surface_mesh import AnyObject
 from ...splats.splat_field import AnyField, SplatField
 from ...view import frame_parts
 from ...view.camera import Camera
@@ -31,7 +31,7 @@ from ...view.frame import Frame, depth_along_view
 from ...view.opacity import rgba_picture
 
 #: What renders frames.
-Scene: TypeAlias = AnyThing | Deformer | PosedDeformer | Stage
+Scene: TypeAlias = AnyObject | Deformer | PosedDeformer | Stage
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +96,7 @@ def drawn_cages(deformer: Deformer, posed: Sequence[Cage | None] | None = None) 
     return [edit.cage if cage is None else cage for edit, cage in zip(deformer.edits, posed, strict=True)]
 
 
-def require_voxels(field: AnyThing, what: str) -> VoxelField:
+def require_voxels(field: AnyObject, what: str) -> VoxelField:
     """A field of voxels. Raises ValueError for others; what: what is asked for, as the message begins."""
     if not isinstance(field, VoxelField):
         kind = "splats" if isinstance(field, SplatField) else "triangles"

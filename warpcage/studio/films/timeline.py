@@ -27,7 +27,7 @@ from ...view.camera_path import MovingCamera, camera_at, path_cameras
 from ...view.motion import frame_places, frame_rate, time_at
 from .edits import Deformation
 from .render import HeldPose, Scene, drawn_cages
-from .words import read_rest
+from .resolve import read_rest
 
 #: Where a camera stands for each side that it looks from, degrees: above the ground, and around from +x to +y where z
 #: is up. Not quite straight above, so that what is behind the object is above it in the picture.
@@ -87,7 +87,7 @@ class Timeline:
         return float(frame_places(self.frames, count, self.motion, self.interpolation, [frame])[0])
 
 
-class Things:
+class Objects:
     """What stands beside a film's own field in one scene, the first of a stage; with what moves.
     of_file: whether the first stays as the stage has it; moving: Deformers on it, and what poses them."""
 
@@ -105,7 +105,7 @@ class Things:
         return np.concatenate(seen)
 
     def with_main(self, renderer: AnyField | Deformer) -> Stage:
-        """The stage with what renders the film's own field; the things of a stage file stay as they are."""
+        """The stage with what renders the film's own field; the objects of a stage file stay as they are."""
         if not self.of_file and self.stage[self.main] is not renderer:
             self.stage.replace(self.main, renderer)
         return self.stage
@@ -133,10 +133,10 @@ class Things:
 
 
 class MovingScene:
-    """What renders the frames of a film: a field, or a Deformer of it that a timeline poses, alone or among things."""
+    """What renders the frames of a film: a field, or a Deformer of it that a timeline poses, alone or among objects."""
 
-    def __init__(self, field: AnyField, timeline: Timeline, things: Things | None = None):
-        self.timeline, self.things = timeline, things
+    def __init__(self, field: AnyField, timeline: Timeline, objects: Objects | None = None):
+        self.timeline, self.objects = timeline, objects
         self._renderer: AnyField | Deformer = field
         self._posed: HeldPose | None = None
 
@@ -146,7 +146,7 @@ class MovingScene:
 
     def is_still(self) -> bool:
         """Whether nothing moves but the camera."""
-        return self.timeline.is_still() and (self.things is None or self.things.longest(None) is None)
+        return self.timeline.is_still() and (self.objects is None or self.objects.longest(None) is None)
 
     def __call__(self, frame: float) -> tuple[Scene, list[Cage]]:
         """What renders a frame, or what is between two, and the cages that an overlay shows."""
@@ -158,10 +158,10 @@ class MovingScene:
             except ValueError as error:
                 raise InputError(f"frame {frame:g}, between the poses: {error}") from error
             cages = drawn_cages(self._posed.deformer)
-        if self.things is None:
+        if self.objects is None:
             return self._renderer, cages
-        self.things.at(self.timeline.time(frame))
-        return self.things.with_main(self._renderer), cages
+        self.objects.at(self.timeline.time(frame))
+        return self.objects.with_main(self._renderer), cages
 
 
 def moving_track(

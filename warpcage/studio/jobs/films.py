@@ -19,9 +19,9 @@ import numpy as np
 
 from ... import __version__
 from ...core.files import PathLike, atomic_path
-from ...core.names import FRAGMENTS_WORD, counted
+from ...core.names import counted
 from ...core.reports import bar, say_above_bar
-from ...edits.edits import CageEdit, words_of_edit
+from ...edits.edits import CageEdit, edit_spec
 from ...errors import InputError, StateError
 from ...view.camera import Camera, CameraKey, camera_json
 from ...view.film import CLEAR_ENDINGS, read_film_frame, write_film
@@ -34,7 +34,7 @@ from .run import RunProgress, RunReport, run_jobs
 WORKPLACE = ".run"
 
 #: The words of an edit in the order in which job files have them.
-EDIT_ORDER = ("cage", "keep", "remove", FRAGMENTS_WORD, "falloff", "held")
+EDIT_ORDER = ("cage", "keep", "remove", "fragments", "falloff", "held")
 
 #: Seconds between looks for a frame where nobody tells of one.
 LOOK_SECONDS = 0.2
@@ -99,7 +99,7 @@ class FilmJob:
             return write_jobs(path, items(), defaults=defaults, extra=self.extra)
 
 
-def frame_words(
+def frame_spec(
     look: Look,
     deformer: Mapping[str, Any] | None,  # options of the Deformer, None where nothing is deformed
     *,
@@ -143,7 +143,7 @@ class _EditArrays:
             files.callback(self._rows.close)
         self._known: dict[bytes, int] = {}
         cage = {"vertices": rest.name, "faces": faces.name}
-        words = words_of_edit(edit, cage, None if edit.remove else self._poses).rest
+        words = edit_spec(edit, cage, None if edit.remove else self._poses).rest
         self.words = {name: words[name] for name in EDIT_ORDER if name in words}
 
     def posed(self, vertices: np.ndarray | None) -> dict[str, str]:

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from ...core.checks import checked_bounds, shown
-from ...core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, edit_fields
-from ...edits import words
-from ...edits.words import EDIT_WORDS, Checker, EditWords, canonical, checked_words, one_of, plain, safe_name, text
+from ...core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, renamed_keys
+from ...edits import spec
+from ...edits.spec import EDIT_KEYS, Checker, EditSpec, canonical, checked_keys, one_of, plain, safe_name, text
 from ...errors import InputError
 from ...splats.io import SPLAT_ENDINGS
 
@@ -27,11 +27,11 @@ ID = "{id}"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Item(abc.ABC):
-    """One thing to make."""
+    """One item of a job."""
 
     id: Annotated[str, safe_name]  # a relative name, unique in its job
-    outputs: Annotated[dict[str, str], words.anything]  # files by what they hold, relative to the folder of the run
-    extra: Annotated[Any, words.anything] = None  # any JSON that is kept with its record
+    outputs: Annotated[dict[str, str], spec.anything]  # files by what they hold, relative to the folder of the run
+    extra: Annotated[Any, spec.anything] = None  # any JSON that is kept with its record
 
     #: The word of its kind, words of JSON besides its fields, all that it takes with their checks, and all kinds.
     kind: ClassVar[str]
@@ -41,9 +41,9 @@ class Item(abc.ABC):
 
     def __init_subclass__(cls) -> None:
         if hasattr(cls, "kind"):
-            checks = words.checkers(cls)
+            checks = spec.checkers(cls)
             last = {name: checks.pop(name) for name in ("outputs", "extra")}
-            cls.known = {"id": checks["id"], "kind": words.anything} | checks | cls.short | last
+            cls.known = {"id": checks["id"], "kind": spec.anything} | checks | cls.short | last
             Item.kinds[cls.kind] = cls
 
     @property
@@ -82,6 +82,7 @@ class Item(abc.ABC):
         Words of other kinds of items are left out of the defaults."""
         if not isinstance(entry, Mapping):
             raise InputError(f"an item must be a JSON object, got {shown(entry)}")
+        entry = renamed_keys(entry)
         usual = defaults if isinstance(defaults, Defaults) else Defaults(defaults or {})
         kind = entry.get("kind") or usual.words.get("kind") or "frame"
         if not isinstance(kind, str) or kind not in Item.kinds:
@@ -91,7 +92,7 @@ class Item(abc.ABC):
     @classmethod
     def _made(cls, entry: Mapping[str, Any], usual: dict[str, Any]) -> Item:
         given = {word: value for word, value in usual.items() if word not in entry}
-        given |= checked_words(entry, cls.known, f"an item of kind {cls.kind!r}")
+        given |= checked_keys(entry, cls.known, f"an item of kind {cls.kind!r}")
         given.pop("kind", None)
         if "id" not in given:
             raise InputError('an item needs an "id", such as "frame_0001"')
@@ -107,14 +108,14 @@ class Defaults:
     """What holds where an item says nothing, checked once for all items of a kind."""
 
     def __init__(self, words: Mapping[str, Any]):
-        self.words = words
+        self.words = renamed_keys(words)
         self._checked: dict[str, dict[str, Any]] = {}
 
     def of(self, maker: type[Item]) -> dict[str, Any]:
         """The checked words that a kind of item takes. Raises ValueError for one that cannot be."""
         if maker.kind not in self._checked:
             usual = {word: value for word, value in self.words.items() if word in maker.known}
-            self._checked[maker.kind] = checked_words(usual, maker.known, "'defaults'")
+            self._checked[maker.kind] = checked_keys(usual, maker.known, "'defaults'")
         return self._checked[maker.kind]
 
 
@@ -154,10 +155,10 @@ PART_ENDINGS = {
 OF_MOMENTS = {"rgb": (".png", ".jpg", ".jpeg", ".exr"), "film": ".npz", "pose": ".npy", "record": ".json"}
 
 
-def _edits(value: Any, word: str) -> tuple[EditWords, ...]:
+def _edits(value: Any, word: str) -> tuple[EditSpec, ...]:
     if not isinstance(value, list) or not value:
         raise InputError(f"{word} must be a list of at least one edit, got {shown(value)}")
-    return tuple(EditWords.from_json(entry, f"edit {number} of {word}") for number, entry in enumerate(value, 1))
+    return tuple(EditSpec.from_json(entry, f"edit {number} of {word}") for number, entry in enumerate(value, 1))
 
 
 def _resolution(value: Any, word: str) -> int | str:
@@ -180,7 +181,7 @@ def _camera(value: Any, word: str) -> Any:
             f'"cameras.json#NAME" or "transforms.json#3", got {shown(value)}'
         )
     if "eye" in value or ("target" in value and "camera_to_world" not in value):
-        checked_words(value, _LOOKING, word)
+        checked_keys(value, _LOOKING, word)
     needed = {name: each for name, each in _LOOKING.items() if name not in _USUAL} if "eye" in value else _PINHOLE
     for name, check in needed.items():
         if value.get(name) is None:
@@ -190,28 +191,28 @@ def _camera(value: Any, word: str) -> Any:
 
 
 def _vector(value: Any, word: str) -> tuple[float, ...]:
-    return words.numbers(value, word, 3)
+    return spec.numbers(value, word, 3)
 
 
 def _pose(value: Any, word: str) -> Any:
     if not isinstance(value, list) or len(value) != 4:
         raise InputError(f"{word} must be four rows of four numbers, got {shown(value)}")
-    return [words.numbers(row, f"a row of {word}", 4) for row in value]
+    return [spec.numbers(row, f"a row of {word}", 4) for row in value]
 
 
-_SIDE = words.whole(1, 65_536)
+_SIDE = spec.whole(1, 65_536)
 
 #: A camera as files of cameras have it, and one that looks from a place to another, of which two words may be left out.
 _PINHOLE: dict[str, Checker] = {
-    **dict.fromkeys(("fx", "fy"), words.positive),
-    **dict.fromkeys(("cx", "cy"), words.number),
+    **dict.fromkeys(("fx", "fy"), spec.positive),
+    **dict.fromkeys(("cx", "cy"), spec.number),
     **dict.fromkeys(("width", "height"), _SIDE),
     "camera_to_world": _pose,
 }
 
 _LOOKING: dict[str, Checker] = {
     **dict.fromkeys(("eye", "target", "up"), _vector),
-    "fov_degrees": words.positive,
+    "fov_degrees": spec.positive,
     **dict.fromkeys(("width", "height"), _SIDE),
 }
 
@@ -221,7 +222,7 @@ _USUAL = ("up", "fov_degrees")
 def _poses(value: Any, word: str) -> list[Any]:
     if not isinstance(value, list):
         raise InputError(f"{word} must be a list of a pose for each edit, null where it removes, got {shown(value)}")
-    return [None if each is None else EDIT_WORDS["posed"](each, f"a pose of {word}") for each in value]
+    return [None if each is None else EDIT_KEYS["posed"](each, f"a pose of {word}") for each in value]
 
 
 _MOMENT: dict[str, Checker] = {"camera": _camera, "posed": _poses}
@@ -230,7 +231,7 @@ _MOMENT: dict[str, Checker] = {"camera": _camera, "posed": _poses}
 def _moments(value: Any, word: str) -> tuple[dict[str, Any], ...]:
     if not isinstance(value, list) or not value:
         raise InputError(f"{word} must be a list of objects with a 'camera', 'posed', or both, got {shown(value)}")
-    return tuple(checked_words(each, _MOMENT, f"moment {number} of {word}") for number, each in enumerate(value, 1))
+    return tuple(checked_keys(each, _MOMENT, f"moment {number} of {word}") for number, each in enumerate(value, 1))
 
 
 def _size(value: Any, word: str) -> tuple[int, ...]:
@@ -241,7 +242,7 @@ def _size(value: Any, word: str) -> tuple[int, ...]:
 
 
 def _scale(value: Any, word: str) -> tuple[float, float]:
-    low, high = words.numbers(value, word, 2)
+    low, high = spec.numbers(value, word, 2)
     if high < low:
         raise InputError(f"{word} must be [low, high], got [{low:g}, {high:g}]")
     return low, high
@@ -267,23 +268,23 @@ class FrameItem(Item):
     outputs: Annotated[dict[str, str], _frame_outputs]
     field: Annotated[str, text] = ""  # a file, voxels or splats
     camera: Annotated[Any, _camera] = None  # an object, or a reference
-    edits: Annotated[tuple[EditWords, ...], _edits] = ()  # in the order in which they act; none: the field as it is
+    edits: Annotated[tuple[EditSpec, ...], _edits] = ()  # in the order in which they act; none: the field as it is
     size: Annotated[tuple[int, ...], _size] = ()  # width, or width and height, of the camera; its own where it is empty
     coordinates: Annotated[str, one_of(*COORDINATES)] = FIELD_COORDINATES
     resolution: Annotated[int | str | None, _resolution] = None  # lattice cells, "precise"; None: by the picture's size
     density: Annotated[str, one_of(*DENSITIES)] = "opacity"
     map: Annotated[str | None, one_of(*SPLAT_MAPS)] = None
-    background: Annotated[Any, words.background] = None  # a colour, "transparent", or None: the field's own
-    fill: Annotated[bool, words.truth] = False  # whether what was uncovered is filled
-    overlay: Annotated[bool, words.truth] = False  # whether the cages are drawn into the picture
-    supersampling: Annotated[int | None, words.whole(1, 8)] = None  # rays along a pixel's side; None is the field's
-    antialias: Annotated[bool | None, words.truth] = None  # whether small splats are weakened; None: as their file says
+    background: Annotated[Any, spec.background] = None  # a colour, "transparent", or None: the field's own
+    fill: Annotated[bool, spec.truth] = False  # whether what was uncovered is filled
+    overlay: Annotated[bool, spec.truth] = False  # whether the cages are drawn into the picture
+    supersampling: Annotated[int | None, spec.whole(1, 8)] = None  # rays along a pixel's side; None is the field's
+    antialias: Annotated[bool | None, spec.truth] = None  # whether small splats are weakened; None: as their file says
     disparity_scale: Annotated[tuple[float, float] | None, _scale] = None  # low and high; None is the frame's range
-    scene_scale: Annotated[float, words.positive] = 1.0  # as `VoxelField.load` has it
+    scene_scale: Annotated[float, spec.positive] = 1.0  # as `VoxelField.load` has it
     moments: Annotated[tuple[dict[str, Any], ...], _moments] = ()  # of a shutter: cameras, poses one an edit; see shots
 
     kind: ClassVar[str] = "frame"
-    short: ClassVar[dict[str, Checker]] = EDIT_WORDS  # of one edit
+    short: ClassVar[dict[str, Checker]] = EDIT_KEYS  # of one edit
 
     @property
     def group(self) -> str:
@@ -314,6 +315,8 @@ class FrameItem(Item):
 
     @property
     def version(self) -> int:
+        if any(edit.fragments for edit in self.edits):
+            return 4
         if self.moments:
             return 3
         return 2 if any(edit.is_drawn for edit in self.edits) else 1
@@ -337,7 +340,7 @@ class FrameItem(Item):
         if short:
             if "cage" not in short:
                 raise InputError(f"{next(iter(short))!r} needs a 'cage', the cage at rest")
-            given["edits"] = (EditWords(**edit_fields(short)),)
+            given["edits"] = (EditSpec(**short),)
         outputs = given.get("outputs") or {"rgb": f"{ID}.png"}
         given["outputs"] = {
             part: output_path(path, given["id"], f"{part!r} of 'outputs'") for part, path in outputs.items()
@@ -415,12 +418,12 @@ class FitItem(Item):
     scene: Annotated[str, text] = ""  # folder
     options: Annotated[dict[str, Any], _options] = dataclasses.field(default_factory=dict)  # of `warpcage.fit`
     split: Annotated[str, text] = "train"  # as `load_scene` has it, and so the rest
-    downscale: Annotated[int, words.whole(1)] = 1  # factor by which pictures shrink
+    downscale: Annotated[int, spec.whole(1)] = 1  # factor by which pictures shrink
     format: Annotated[str | None, text] = None  # None finds it
     masks: Annotated[bool | str, _masks] = True  # what mask files are
     cameras: Annotated[str | None, text] = None  # camera file of the scene; None takes those of its files
-    background: Annotated[Any, words.color] = "white"  # colour behind transparent pixels
-    straighten: Annotated[bool, words.truth] = False  # whether the scene is turned so that its up is +z
+    background: Annotated[Any, spec.color] = "white"  # colour behind transparent pixels
+    straighten: Annotated[bool, spec.truth] = False  # whether the scene is turned so that its up is +z
 
     kind: ClassVar[str] = "fit"
     short: ClassVar[dict[str, Checker]] = {"output": _output(".npz", *SPLAT_ENDINGS)}
@@ -453,14 +456,14 @@ class EvaluateItem(Item):
     field: Annotated[str, text] = ""  # a file, voxels
     scene: Annotated[str, text] = ""  # folder
     split: Annotated[str, text] = "test"  # as `load_scene` has it, and so the rest
-    downscale: Annotated[int, words.whole(1)] = 1  # factor by which pictures shrink
+    downscale: Annotated[int, spec.whole(1)] = 1  # factor by which pictures shrink
     format: Annotated[str | None, text] = None  # None finds it
     masks: Annotated[bool | str, _masks] = True  # what mask files are
     cameras: Annotated[str | None, text] = None  # camera file of the scene; None takes those of its files
-    background: Annotated[Any, words.color] = None  # colour behind the field; None is the field's own
-    given_cameras: Annotated[bool, words.truth] = False  # whether cameras stay where those of the fit were refined
-    tune_cameras: Annotated[bool, words.truth] = False  # whether each view's camera is moved first, to match the field
-    scene_scale: Annotated[float, words.positive] = 1.0  # as `VoxelField.load` has it
+    background: Annotated[Any, spec.color] = None  # colour behind the field; None is the field's own
+    given_cameras: Annotated[bool, spec.truth] = False  # whether cameras stay where those of the fit were refined
+    tune_cameras: Annotated[bool, spec.truth] = False  # whether each view's camera is moved first, to match the field
+    scene_scale: Annotated[float, spec.positive] = 1.0  # as `VoxelField.load` has it
 
     kind: ClassVar[str] = "evaluate"
     short: ClassVar[dict[str, Checker]] = {"output": _output(".json")}

@@ -29,7 +29,8 @@ from ...core.files import (
     seen_note,
 )
 from ...core.memory import LRUCache, require_host_memory
-from ...edits.words import canonical, checked_words, one_of, split_reference, truth, whole
+from ...core.names import older_keys, renamed_keys
+from ...edits.spec import canonical, checked_keys, one_of, split_reference, truth, whole
 from ...errors import InputError
 from .items import (
     KINDS,
@@ -104,8 +105,9 @@ def checked_item(entry: Mapping[str, Any], defaults: Defaults, records: Mapping[
     return item
 
 
-#: Version 2 has poses that are drawn, 3 moments of a shutter. A file has the first version that has all of its words.
-FORMAT, VERSION = "warpcage jobs", 3
+#: Version 2 has poses that are drawn, 3 moments of a shutter, 4 fragments, which older ones call crumbs. A file has the
+#: first version that has all of its keys.
+FORMAT, VERSION = "warpcage jobs", 4
 
 #: Bytes that a line may have: a cage of a hundred thousand vertices takes a tenth of it.
 MAX_LINE = 1 << 26
@@ -272,6 +274,7 @@ def _check_defaults(defaults: Any) -> None:
     """Raise ValueError for defaults that no kind of item takes."""
     if not isinstance(defaults, dict):
         raise InputError(f"'defaults' must be an object of words of items, got {shown(defaults)}")
+    defaults = renamed_keys(defaults)
     kind = defaults.get("kind")
     if kind is not None:
         one_of(*KINDS)(kind, "'kind' of 'defaults'")
@@ -306,7 +309,7 @@ def check_records(records: Any, defaults: Mapping[str, Any]) -> None:
         "depth": truth,
         "alpha": truth,
     }
-    if "kind" not in checked_words(records, known, "'records'"):
+    if "kind" not in checked_keys(records, known, "'records'"):
         raise InputError("'records' needs a 'kind': folder or webdataset")
     if defaults.get("outputs") is not None:
         raise InputError("'records' say what is written: leave 'outputs' of 'defaults' out")
@@ -346,9 +349,11 @@ def write_jobs(
 
 def _version_of(defaults: Mapping[str, Any]) -> int:
     """The first version that has all words of checked defaults."""
+    edits = [defaults, *(defaults.get("edits") or ())]
+    if any(edit.get("fragments") for edit in edits):
+        return 4
     if defaults.get("moments"):
         return 3
-    edits = [defaults, *(defaults.get("edits") or ())]
     return 2 if any(isinstance(edit.get("posed"), dict) for edit in edits) else 1
 
 
@@ -378,7 +383,8 @@ class Fingerprints:
 
     def of(self, item: Item) -> str:
         """The fingerprint of an item, hexadecimal digits. A file that cannot be read counts as such."""
-        parts = [canonical(item.to_json()), *self.of_inputs(item)]
+        # by the keys of the first version, so that runs that it began go on
+        parts = [canonical(older_keys(item.to_json())), *self.of_inputs(item)]
         return hashlib.blake2b("\n".join(parts).encode(), digest_size=HASH_BYTES).hexdigest()
 
     def of_inputs(self, item: Item) -> tuple[str, ...]:

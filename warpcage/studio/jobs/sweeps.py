@@ -20,7 +20,7 @@ from ...cage.random_poses import RandomNumbers, RandomPoses
 from ...core.checks import checked_whole
 from ...core.files import PathLike, atomic_path, path_from
 from ...core.names import FIELD_COORDINATES, require_coordinates
-from ...edits.words import drawn_words
+from ...edits.spec import drawn_pose_spec
 from ...errors import InputError
 from ...view.camera import Camera, CameraFile, CameraKey
 from .job_file import write_jobs
@@ -86,7 +86,7 @@ class RandomSource:
 
     def drawn(self, number: int) -> dict[str, Any] | None:
         """What a worker draws a pose by, as items have it; None where its vertices are written."""
-        return None if self.written else drawn_words(self.poses.chance, number)
+        return None if self.written else drawn_pose_spec(self.poses.chance, number)
 
     def origin(self, number: int) -> dict[str, Any]:
         """What is kept of where a pose comes from."""

@@ -22,8 +22,8 @@ from ...core.memory import LRUCache, free_bytes, is_shortage
 from ...core.overlap import SPARE, TASK_THREADS, Gate
 from ...core.threads import cpu_threads
 from ...deform.deformer import Deformer
-from ...edits.edits import edit_of_words, picture_cells
-from ...edits.words import canonical
+from ...edits.edits import edit_from_spec, picture_cells
+from ...edits.spec import canonical
 from ...errors import InputError
 from ...field.voxel_field import VoxelField
 from ...fitting.cameras import tuned_scene
@@ -41,7 +41,7 @@ from ...view.frame import RGB_BYTES, Frame, depth_along_view
 from ...view.frame_parts import picture
 from ...view.pictures import LIGHT_KEPT, PictureCuts, to_uint8
 from ..films.render import HeldPose, drawn_cages, require_fillable
-from ..films.words import References, RestCage
+from ..films.resolve import References, RestCage
 from .items import EvaluateItem, FitItem, FrameItem, Item, digest
 from .job_file import Fingerprints
 from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, write_array, write_outputs
@@ -198,7 +198,7 @@ class FrameMaker:
 
         def bind() -> Bound:
             rests = [self.references.rest_cage(edit, field) for edit in item.edits]
-            edits = [edit_of_words(edit, rest.cage) for edit, rest in zip(item.edits, rests, strict=True)]
+            edits = [edit_from_spec(edit, rest.cage) for edit, rest in zip(item.edits, rests, strict=True)]
             self.counts.deformers += 1
             resolution = None if cells == "precise" else int(cells)
             options: dict[str, Any] = {"coordinates": item.coordinates, "density": item.density, "map": item.map}

@@ -1,4 +1,4 @@
-"""Views of one thing or place: Nerfies and HyperNeRF, BlendedMVS and others of MVSNet's layout, NeRF++."""
+"""Views of one object or place: Nerfies and HyperNeRF, BlendedMVS and others of MVSNet's layout, NeRF++."""
 # Cameras have OpenCV's axes; the corner of the first pixel is (0, 0), as the authors' own loaders add half a pixel.
 
 from __future__ import annotations

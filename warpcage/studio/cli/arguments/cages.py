@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from ....cage.axes import AXIS_WORDS, is_axis
+from ....cage.axes import AXIS_NAMES, is_axis
 from ....core.names import EASINGS, LOOPS
 from .options import (
     CAGE_UP,
@@ -106,7 +106,7 @@ class _Step(argparse.Action):
 def axis_word(text: str) -> str:
     """A word for a direction, as an argument. Raises argparse.ArgumentTypeError for others."""
     if not is_axis(text):
-        raise argparse.ArgumentTypeError(f"must be {AXIS_WORDS}, got {text!r}")
+        raise argparse.ArgumentTypeError(f"must be {AXIS_NAMES}, got {text!r}")
     return text
 
 
@@ -152,7 +152,7 @@ steps:
 --rotate DEGREES  rotate about --axis
 --translate X Y Z  move, world units
 where:
---axis AXIS  axis of the steps: {AXIS_WORDS}. up is that of --up or --object; long, middle and short are those of the
+--axis AXIS  axis of the steps: {AXIS_NAMES}. up is that of --up or --object; long, middle and short are those of the
     cage itself (default: %(default)s)
 --towards AXIS  direction of a bend, given like --axis; only its part across --axis counts (default: x, or z if --axis
     is x)

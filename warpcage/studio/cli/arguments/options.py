@@ -426,7 +426,7 @@ deformation (--cage and --posed, or --edit, or --edits; without them the field i
 """
 
 
-def things(more: str = "") -> str:
+def objects(more: str = "") -> str:
     """What is shown beside the field, in one scene; more: other rows of the group."""
     return f"""
 several objects in one scene (FIELD may also be a scene file, .stage.json):

@@ -16,8 +16,8 @@ from .options import (
     VIEW,
     command,
     deformation,
+    objects,
     shutter,
-    things,
 )
 
 #: Pictures of --cameras interpolate from each camera to the next where --frames is not given.
@@ -60,7 +60,7 @@ options:
 --antialias
 """,
     deformation("POSED...", ". Several, or all keyframes of a pose file, make a picture each, in a folder"),
-    things("--save-stage FILE  also write a scene file of all objects (.stage.json)"),
+    objects("--save-stage FILE  also write a scene file of all objects (.stage.json)"),
     VIEW,
     SCALE_AND_DEVICE,
     cameras=("interpolate", "given"),
@@ -157,7 +157,7 @@ options:
 --antialias
 """,
     deformation("POSED...", FOLLOWING),
-    things(),
+    objects(),
     VIEW,
     SCALE_AND_DEVICE,
     "--quiet",

@@ -15,13 +15,13 @@ import { editsGroup } from "./panels/edits.js";
 import { filmGroup, jobsGroup, keysGroup } from "./panels/film.js";
 import { viewGroup } from "./panels/picture.js";
 import { poseGroup } from "./panels/pose.js";
-import { thingsGroup } from "./panels/things.js";
+import { objectsGroup } from "./panels/objects.js";
 import * as timeline from "./panels/timeline.js";
 import * as toolbar from "./panels/toolbar.js";
 
 /** Builds the side panel: its groups from top to bottom. */
 function startPanel() {
-  const groups = [thingsGroup(), editsGroup(), cageGroup(), poseGroup(), keysGroup(), filmGroup(), jobsGroup(), viewGroup()];
+  const groups = [objectsGroup(), editsGroup(), cageGroup(), poseGroup(), keysGroup(), filmGroup(), jobsGroup(), viewGroup()];
   document.getElementById("panel").append(...groups.map(({ root }) => root));
   for (const group of groups) group.start();
 }

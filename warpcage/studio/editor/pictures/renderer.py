@@ -354,7 +354,7 @@ class Renderer:
             "width": effort.width,
             "height": effort.height,
             "view": dataclasses.asdict(view),
-            "things": [thing.id for thing in request.document.things],
+            "objects": [scene_object.id for scene_object in request.document.objects],
             "sharp": effort.sharp,
             "scale": effort.width / request.width,
             "quality": effort.quality,
@@ -387,7 +387,7 @@ class Renderer:
         columns, depths = depth_size(effort.width, effort.height, DEPTHS_SHARP if effort.sharp else DEPTHS_MOVING)
         rows = effort.height
         # a band of splats takes about as long as all of the picture, and filling needs the whole picture
-        voxels = all(isinstance(self._fields.field(one), VoxelField) for one in document.things if one.visible)
+        voxels = all(isinstance(self._fields.field(one), VoxelField) for one in document.objects if one.visible)
         banded = voxels and not self._fills(document)
         if effort.sharp and self._field.device.is_cpu and banded:
             seconds = self.pace.sharp_seconds(effort, document.settings.coordinates)
@@ -412,7 +412,7 @@ class Renderer:
     def _frame(self, request: Request, seen: Any, effort: Effort) -> Frame:
         document = request.document
         background = document.settings.background
-        fields = [self._fields.field(thing) for thing in document.things if thing.visible]
+        fields = [self._fields.field(scene_object) for scene_object in document.objects if scene_object.visible]
         if background is None and all(field.background_model is None for field in fields):
             background = request.ground
         fill = effort.sharp and self._fills(document)

@@ -20,12 +20,12 @@ from ....edits.place import seen_from
 from ....errors import InputError
 from ....field.voxel_field import VoxelField
 from ....mesh.validity import require_usable
-from ....render.surface_mesh import AnyThing
+from ....render.surface_mesh import AnyObject
 from ....splats.splat_field import AnyField
 from ....view.camera import Camera
 from ....view.frame import Frame
 from ...films.render import Look
-from ..document import MAIN, Background, Document, Edit, Settings, Thing, View
+from ..document import MAIN, Background, Document, Edit, SceneObject, Settings, View
 
 #: Deformers that are kept for one set of edits, one per resolution: a moving hand and a resting one may have two.
 KEPT_DEFORMERS = 2
@@ -52,28 +52,32 @@ def clicked_pixel(view: View, across: float, down: float, aspect: float) -> tupl
 
 
 class Fields:
-    """The fields and meshes of a session's things: its own, and others by their files' names, which copies share."""
+    """The fields and meshes of a session's objects: its own, and others by their files' names, which copies share."""
 
     def __init__(self, main: AnyField):
         self.main = main
-        self.files: dict[str, AnyThing] = {}  # seen from the session's folder
+        self.files: dict[str, AnyObject] = {}  # seen from the session's folder
 
     @classmethod
     def of(cls, fields: AnyField | Fields) -> Fields:
-        """Fields as they are, or of a session with one thing."""
+        """Fields as they are, or of a session with one object."""
         return fields if isinstance(fields, Fields) else cls(fields)
 
-    def field(self, thing: Thing) -> AnyThing:
-        """The field of a thing. Raises ValueError where it was not read."""
-        if thing.file is None:
+    def field(self, scene_object: SceneObject) -> AnyObject:
+        """The field of an object. Raises ValueError where it was not read."""
+        if scene_object.file is None:
             return self.main
-        if thing.file not in self.files:
-            raise InputError(f"the file of {thing.name!r}, {thing.file}, was not read: it was added elsewhere")
-        return self.files[thing.file]
+        if scene_object.file not in self.files:
+            raise InputError(
+                f"the file of {scene_object.name!r}, {scene_object.file}, was not read: it was added elsewhere"
+            )
+        return self.files[scene_object.file]
 
     def bounds(self, document: Document) -> np.ndarray:
-        """(2, 3) box of all things where they stand, world units; of hidden ones too."""
-        boxes = [thing.place.moved(box_corners(self.field(thing).bounds)) for thing in document.things]
+        """(2, 3) box of all objects where they stand, world units; of hidden ones too."""
+        boxes = [
+            scene_object.place.moved(box_corners(self.field(scene_object).bounds)) for scene_object in document.objects
+        ]
         return np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
 
 
@@ -82,31 +86,31 @@ class PosedScene:
 
     def __init__(self, fields: AnyField | Fields):
         self.fields = Fields.of(fields)
-        self._posed: dict[int, PosedThing] = {}  # by the number of the thing
+        self._posed: dict[int, PosedObject] = {}  # by the number of the object
         self.stage: Stage | None = None  # of the last `prepare`; None for the session's own field in its own place
 
-    def posed(self, number: int) -> AnyThing | Deformer:
-        """A thing of the last `prepare` in which it was seen: a Deformer, or its field where that is as it is."""
-        thing = self._posed[number]
-        return thing.deformer or thing.field
+    def posed(self, number: int) -> AnyObject | Deformer:
+        """An object of the last `prepare` in which it was seen: a Deformer, or its field where that is as it is."""
+        scene_object = self._posed[number]
+        return scene_object.deformer or scene_object.field
 
     def prepare(self, document: Document, resolution: int | None = None) -> None:
-        """Make the scene of a document's things, edits and settings; where that fails, the scene before stays.
+        """Make the scene of a document's objects, edits and settings; where that fails, the scene before stays.
         `resolution`: cells of the lattices along the longest side of a cage, None is that of the settings."""
-        things = [thing for thing in document.things if thing.visible]
-        for thing in things:
-            field, posed = self.fields.field(thing), self._posed.get(thing.id)
+        objects = [scene_object for scene_object in document.objects if scene_object.visible]
+        for scene_object in objects:
+            field, posed = self.fields.field(scene_object), self._posed.get(scene_object.id)
             if posed is None:
-                posed = self._posed[thing.id] = PosedThing(field)
-            posed.prepare(document.edits_of(thing.id), document.settings, resolution)
-        for gone in set(self._posed) - {thing.id for thing in document.things} - {MAIN}:
+                posed = self._posed[scene_object.id] = PosedObject(field)
+            posed.prepare(document.edits_of(scene_object.id), document.settings, resolution)
+        for gone in set(self._posed) - {scene_object.id for scene_object in document.objects} - {MAIN}:
             del self._posed[gone]
-        if things == [document.things[0]] and not document.is_staged:
+        if objects == [document.objects[0]] and not document.is_staged:
             self.stage = None
             return
         stage = Stage(device=self.fields.main.device)
-        for thing in things:
-            stage.add(str(thing.id), self.posed(thing.id), place=thing.place)
+        for scene_object in objects:
+            stage.add(str(scene_object.id), self.posed(scene_object.id), place=scene_object.place)
         self.stage = stage
 
     def render(
@@ -123,8 +127,8 @@ class PosedScene:
             return self._posed[MAIN].render(camera, background, coarse, supersampling, fill)
         return self.stage.render(camera, background=background, supersampling=supersampling, step_scale=coarse)
 
-    def thing_at(self, view: View, across: float, down: float, aspect: float) -> int | None:
-        """The thing that a click meets first, or None; across, down: shares of a picture of this aspect."""
+    def object_at(self, view: View, across: float, down: float, aspect: float) -> int | None:
+        """The object that a click meets first, or None; across, down: shares of a picture of this aspect."""
         if self.stage is None:
             return MAIN
         (x, y), looking = clicked_pixel(view, across, down, aspect)
@@ -132,17 +136,17 @@ class PosedScene:
         met = []
         for name, item in self.stage.items.items():
             place = item.places.at(0.0)
-            frame = item.thing.render(seen_from(place, pixels), background="transparent", supersampling=1)
+            frame = item.scene_object.render(seen_from(place, pixels), background="transparent", supersampling=1)
             if float(frame.alpha.mean()) >= HIDING_ALPHA:
                 met.append((float(frame.depth.mean()) * place.scale, int(name)))
         return min(met)[1] if met else None
 
 
-class PosedThing:
+class PosedObject:
     """A field or mesh and its edits, posed and ready to be rendered. One thread at a time may use it.
     A Deformer is made only when what it is made of changes; a changed pose is posed, an unchanged one left as it is."""
 
-    def __init__(self, field: AnyThing):
+    def __init__(self, field: AnyObject):
         self.field = field
         self.deformer: Deformer | None = None  # of the last `prepare`; None where the field is shown as it is
         self._edits: tuple[Edit, ...] = ()  # what the kept Deformers and cages are made of

@@ -12,11 +12,22 @@ import numpy as np
 
 from ....core.checks import listed
 from ....core.files import DAMAGED
-from ....core.names import agreed, counted
+from ....core.names import agreed, counted, renamed_keys
 from ....errors import InputError
-from ....render.surface_mesh import AnyThing, thing_size
+from ....render.surface_mesh import AnyObject, object_size
 from ..checks import MAX_LINE, checked_items, checked_whole
-from ..document import Document, Edit, Key, Timeline, checked_edit, checked_key, edit_json, key_json
+from ..document import (
+    OLD_KEYS,
+    Document,
+    Edit,
+    Key,
+    Timeline,
+    checked_edit,
+    checked_key,
+    edit_json,
+    key_json,
+    selection_json,
+)
 from ..pictures.scene import Fields
 
 #: Steps that can be undone.
@@ -98,7 +109,7 @@ def _as_it_was(document: Document, present: Document) -> Document:
     )
 
 
-def read_history(content: Any, fields: Fields, load: Callable[[str], AnyThing]) -> tuple[History, str | None]:
+def read_history(content: Any, fields: Fields, load: Callable[[str], AnyObject]) -> tuple[History, str | None]:
     """The steps of a session's file, and one line of what became of those that cannot be gone back to.
     fields: of its document; those of other steps are loaded by their files' names."""
     history, gone = History(), _Gone(fields, load)
@@ -123,7 +134,7 @@ def read_history(content: Any, fields: Fields, load: Callable[[str], AnyThing]) 
 class _Gone:
     """Which fields of steps are gone by now, and how many steps need them."""
 
-    def __init__(self, fields: Fields, load: Callable[[str], AnyThing]):
+    def __init__(self, fields: Fields, load: Callable[[str], AnyObject]):
         self._fields, self._load = fields, load
         self.marks: Mapping[str, Mark] = {}
         self.count = 0
@@ -131,7 +142,7 @@ class _Gone:
 
     def has_all(self, document: Document) -> bool:
         """Whether all fields of a document are there, and as they were."""
-        return all(self._has(thing.file or "") for thing in document.things)
+        return all(self._has(scene_object.file or "") for scene_object in document.objects)
 
     def _has(self, file: str) -> bool:
         if file not in self._known:
@@ -156,8 +167,8 @@ class _Gone:
         return f"{steps} {agreed(self.count, 'is', 'are')} left out: {listed(names)} {verb} gone or changed."
 
 
-def _mark(field: AnyThing) -> Mark:
-    return [field.bounds.tolist(), thing_size(field)]
+def _mark(field: AnyObject) -> Mark:
+    return [field.bounds.tolist(), object_size(field)]
 
 
 class _Pool:
@@ -166,7 +177,7 @@ class _Pool:
 
     def __init__(self, present: Document | None) -> None:
         self.parts: list[Any] = []
-        self.files: set[str] = set()  # of the things of all steps; "" is the session's own
+        self.files: set[str] = set()  # of the objects of all steps; "" is the session's own
         self._size = 0
         self._by_text: dict[str, int] = {}
         self._by_object: dict[int, int] = {}  # by `id`: the history holds them meanwhile
@@ -178,7 +189,7 @@ class _Pool:
         """Steps as JSON takes them, the nearest ones first as long as there is room; in their order."""
         kept: list[Any] = []
         for label, document in reversed(steps):
-            count, files = len(self.parts), {thing.file or "" for thing in document.things}
+            count, files = len(self.parts), {scene_object.file or "" for scene_object in document.objects}
             made = [label, self._document(document)]
             self._size += len(json.dumps(made))
             if self._size > MAX_BYTES:
@@ -191,8 +202,8 @@ class _Pool:
     def _document(self, document: Document) -> dict[str, Any]:
         return {
             "edits": [self._number(edit, lambda one: edit_json(one, self._array)) for edit in document.edits],
-            "things": [self._number(thing, dataclasses.asdict) for thing in document.things],
-            "selection": self._number(document.selection, dataclasses.asdict),
+            "objects": [self._number(scene_object, dataclasses.asdict) for scene_object in document.objects],
+            "selection": self._number(document.selection, selection_json),
             "settings": self._number(document.settings, dataclasses.asdict),
             "view": self._number(document.view, dataclasses.asdict),
             "timeline": self._number(document.timeline, self._film),
@@ -234,11 +245,12 @@ class _Reader:
     def step(self, content: Any) -> Step:
         """A step from what the pool made of it."""
         label, held = content
+        held = renamed_keys(held, OLD_KEYS)
         if not isinstance(label, str):
             raise InputError("the name of a step must be a text")
         parts = {name: self._part(held[name]) for name in ("selection", "settings", "view", "timeline")}
-        things = [self._part(number) for number in held["things"]]
-        return label[:MAX_LINE], Document.from_json({**held, **parts, "things": things}, self._edit, self._key)
+        objects = [self._part(number) for number in held["objects"]]
+        return label[:MAX_LINE], Document.from_json({**held, **parts, "objects": objects}, self._edit, self._key)
 
     def _part(self, number: Any) -> Any:
         return self._parts[checked_whole(number, 0, len(self._parts) - 1, "the number of a part")]

@@ -28,11 +28,11 @@ def losses(before: Document, after: Document) -> str | None:
     pairs: _Pairs = [(key, there.get(key.id)) for key in before.timeline.keys if there.get(key.id) is not key]
     cages, names = {edit.id: edit for edit in before.edits}, {edit.id: f'"{edit.name}"' for edit in before.edits}
     moved = {edit.id for edit in after.edits if edit.id in cages and edit.rest is not cages[edit.id].rest}  # carried
-    things = {thing.id: f'"{thing.name}"' for thing in before.things}
+    objects = {scene_object.id: f'"{scene_object.name}"' for scene_object in before.objects}
     lost = [
         *_lost(pairs, ("pose", "poses"), "cages", lambda key: key.poses or {}, names, moved),
         *_lost(pairs, ("camera", "cameras"), "", lambda key: {} if key.view is None else {0: key.view}, {0: ""}),
-        *_lost(pairs, ("position", "positions"), "objects", lambda key: key.places or {}, things),
+        *_lost(pairs, ("position", "positions"), "objects", lambda key: key.places or {}, objects),
     ]
     lines = []
     if lost:

@@ -1,19 +1,19 @@
-// Places of things: similarities as rows of a (4, 4) matrix, and what they do to points, views and boxes.
+// Places of objects: similarities as rows of a (4, 4) matrix, and what they do to points, views and boxes.
 
 import { add, dot, mean, point, subtract, times } from "./vectors.js";
 
-/** A point of a thing in the scene. */
+/** A point of an object in the scene. */
 export const placed = (matrix, p) => [0, 1, 2].map((k) => dot(matrix[k], p) + matrix[k][3]);
 
-/** How many times as large a place makes its thing. */
+/** How many times as large a place makes its object. */
 export const scaleOf = (matrix) => Math.hypot(matrix[0][0], matrix[1][0], matrix[2][0]);
 
 const columns = (matrix) => [0, 1, 2].map((k) => [matrix[0][k], matrix[1][k], matrix[2][k]]);
 
-/** The unit axes of a thing in the scene. */
+/** The unit axes of an object in the scene. */
 export const axesOf = (matrix) => columns(matrix).map((column) => times(column, 1 / scaleOf(matrix)));
 
-/** A view of the scene in the coordinates of a thing. */
+/** A view of the scene in the coordinates of an object. */
 export function viewWithin(matrix, view) {
   const axes = axesOf(matrix);
   const turn = (a) => axes.map((axis) => dot(axis, a));
@@ -21,7 +21,7 @@ export function viewWithin(matrix, view) {
   return { ...view, eye: place(view.eye), target: place(view.target), up: turn(view.up) };
 }
 
-/** Flat points of a thing in the scene. */
+/** Flat points of an object in the scene. */
 export function placedAll(matrix, points) {
   const out = new Float64Array(points.length);
   for (let i = 0; i < points.length / 3; i += 1) out.set(placed(matrix, point(points, i)), 3 * i);
@@ -43,7 +43,7 @@ export const BOX_EDGES = [0, 1, 2].flatMap((k) => [0, 1, 2, 3, 4, 5, 6, 7].filte
 const determinant = ([a, b, c]) => a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
 
 /**
- * The place that takes a thing along as its corners went from `start` to `now`, both flat; `matrix` was its place.
+ * The place that takes an object along as its corners went from `start` to `now`, both flat; `matrix` was its place.
  * What is not alike along all axes becomes a scaling that is.
  */
 export function followed(matrix, start, now) {

@@ -6,7 +6,7 @@ import { askFor, toast } from "../core/dialogs.js";
 import { isBrush } from "../tools/brush.js";
 import { counted, keysOf } from "./keys.js";
 import { nextPlace } from "../view/pointer.js";
-import { activeThing } from "../view/things.js";
+import { activeObject } from "../view/objects.js";
 import { button, el, group, setText } from "../core/controls.js";
 import { AXIS_NAMES } from "../geometry/vectors.js";
 
@@ -85,7 +85,7 @@ async function generateAround() {
 }
 
 async function mirror(edit) {
-  const { bounds } = activeThing();
+  const { bounds } = activeObject();
   const axes = AXIS_NAMES.map((name) => [name, `Across ${name}`]);
   const given = await askFor({
     title: "Mirror the edit",

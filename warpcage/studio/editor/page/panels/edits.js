@@ -3,7 +3,7 @@
 import { activeEdit, store, withActiveEdit } from "../core/store.js";
 import { request } from "../core/connection.js";
 import { askFor, confirmThat } from "../core/dialogs.js";
-import { activeThing } from "../view/things.js";
+import { activeObject } from "../view/objects.js";
 import { counted, keysOf } from "./keys.js";
 import { deformationFields } from "./picture.js";
 import { button, choice, el, followKey, group, icon, listBox, number, setIcon, setText, text } from "../core/controls.js";
@@ -53,7 +53,7 @@ async function remove(edit) {
 
 /** Asks for the first cage of a new edit: a shape around the middle of the field. */
 async function add() {
-  const { bounds } = activeThing() ?? {};
+  const { bounds } = activeObject() ?? {};
   if (!bounds) return;
   const given = await askFor({
     title: "Add edit",
@@ -158,7 +158,7 @@ export function editsGroup() {
     id: "edit-fragments",
     label: "Take loose pieces along, up to",
     title: "Pieces outside the cage that touch only this part and are smaller than this move with it. 0: they stay",
-    onChange: changeTo("crumbs"),
+    onChange: changeTo("fragments"),
   });
   const shown = button({ id: "edit-visible", label: "Shown", icon: "eye", title: "Turn the active edit on or off", onClick: withActiveEdit((edit) => change(edit.id, { visible: !edit.visible })) });
   const tools = el(
@@ -191,7 +191,7 @@ export function editsGroup() {
     setText(meaning, MEANINGS[edit.kind]);
     falloff.set(edit.falloff);
     held.set(edit.held);
-    fragments.set(edit.crumbs);
+    fragments.set(edit.fragments);
     falloff.root.hidden = edit.kind === "remove";
     held.root.hidden = edit.kind === "remove" || !edit.falloff;
     setIcon(shown, edit.visible ? "eye" : "eye-off");

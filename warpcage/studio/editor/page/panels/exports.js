@@ -3,7 +3,7 @@
 import { store } from "../core/store.js";
 import { ask, when } from "../core/connection.js";
 import { askFor, showText } from "../core/dialogs.js";
-import { things } from "../view/things.js";
+import { objects } from "../view/objects.js";
 import { film } from "./keys.js";
 
 /** The formats of films: [value, label, ending, whether it has alpha, bytes for one of a sharp picture of the page], the
@@ -117,7 +117,7 @@ function exportAs(what, label, usual, ...fields) {
 }
 
 function exportScene() {
-  const hasSplats = things().some(({ visible, size }) => visible && size.endsWith("splats"));
+  const hasSplats = objects().some(({ visible, size }) => visible && size.endsWith("splats"));
   return exportAs("bake", "Posed scene", hasSplats ? "bent.ply" : "bent.npz");
 }
 

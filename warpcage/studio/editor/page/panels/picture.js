@@ -2,7 +2,7 @@
 
 import { actions, run, store } from "../core/store.js";
 import { request } from "../core/connection.js";
-import { things } from "../view/things.js";
+import { objects } from "../view/objects.js";
 import { button, check, choice, el, group, percent, perPicture, segments, setText, titleOf } from "../core/controls.js";
 
 const RESOLUTIONS = [16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512];
@@ -134,7 +134,7 @@ export function viewGroup() {
     label: "What is shown",
     options: [
       ["rgb", "Colour", "The scene in colour"],
-      ["disparity", "Depth", "How near things are: near is bright"],
+      ["disparity", "Depth", "How near objects are: near is bright"],
       ["alpha", "Alpha", "How opaque the scene is: white hides the background"],
       ["masks", "Masks", "What is turned inside out, uncovered or empty"],
     ],
@@ -173,13 +173,13 @@ export function viewGroup() {
     supersampling.set(settings.supersampling);
     background.set(settings.background);
     fill.set(settings.fill);
-    fill.root.hidden = settings.background !== null || !store.sections.session?.field?.layers || things().length > 1;
+    fill.root.hidden = settings.background !== null || !store.sections.session?.field?.layers || objects().length > 1;
     shown.set(settings.show);
     masks.show();
   };
   const start = () => {
     store.on("settings", show);
-    store.on("things", show);
+    store.on("objects", show);
     store.on("session", show); // of its field: whether there is something to fill
     store.on("status", masks.show);
     store.on("tools", (tools) => {

@@ -2,7 +2,7 @@
 
 import { actions, choices, keep, kept, register, run, STARTED_ANEW, store } from "../core/store.js";
 import { request } from "../core/connection.js";
-import { waitingFor } from "../view/things.js";
+import { waitingFor } from "../view/objects.js";
 import { tellSize } from "../view/viewport.js";
 import { choice, el, icon, number, perPicture, segments, setText, titleOf } from "../core/controls.js";
 
@@ -272,7 +272,7 @@ export function start() {
   store.on("settings", ({ mode }) => showMode(mode));
   store.on("history", showHistory);
   store.on("session", () => (showSession(), showStatus()));
-  for (const name of ["status", "things"]) store.on(name, showStatus);
+  for (const name of ["status", "objects"]) store.on(name, showStatus);
   showTools();
   showOptions();
   showPicks();

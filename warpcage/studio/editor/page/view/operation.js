@@ -7,7 +7,7 @@ import * as T from "../geometry/transform.js";
 import { AXIS_NAMES, add, dot, mean, subtract, times, unit } from "../geometry/vectors.js";
 import * as drag from "./subject.js";
 import { activeCage, activeVertex, places, selected } from "./subject.js";
-import { isPlacing } from "./things.js";
+import { isPlacing } from "./objects.js";
 
 const LABELS = { move: "Move", rotate: "Rotate", scale: "Scale" };
 const NAMES = AXIS_NAMES.map((name) => name.toUpperCase());
@@ -31,7 +31,7 @@ function mirrorNow(cage) {
 
 /** The axes that tools use now at a selection: "world", "view" or "local". */
 export function basisNow(axes, camera, cage, points, chosen) {
-  if (cage.isThing) return axes === "local" ? cage.axes : T.basisOf(axes, camera, null);
+  if (cage.isObject) return axes === "local" ? cage.axes : T.basisOf(axes, camera, null);
   return T.basisOf(axes, camera, axes === "local" ? normalAround(cage.faces, points, chosen) : null);
 }
 
@@ -54,7 +54,7 @@ export function begin(kind, { camera, at, allowed = [true, true, true], way = st
     offset: [0, 0, 0],
   };
   operation.typed = new T.Typed(fieldCount());
-  drag.begin(cage, `${LABELS[kind]} ${cage.isThing ? cage.name : chosen.size === 1 ? "a vertex" : `${chosen.size} vertices`}`);
+  drag.begin(cage, `${LABELS[kind]} ${cage.isObject ? cage.name : chosen.size === 1 ? "a vertex" : `${chosen.size} vertices`}`);
   weigh();
   return operation;
 }
@@ -63,7 +63,7 @@ const fieldCount = () => (operation.kind === "move" ? operation.allowed.filter(B
 
 function weigh() {
   const { cage, start, chosen, mirror } = operation;
-  const radius = store.tools.proportional && !cage.isThing ? store.tools.radius * cage.size : 0;
+  const radius = store.tools.proportional && !cage.isObject ? store.tools.radius * cage.size : 0;
   const all = mirror ? T.withPartners(mirror, chosen) : chosen;
   operation.weights = T.weightsOf(start, all, radius, store.tools.falloff);
   operation.dirty = true;
@@ -230,7 +230,7 @@ export function describe() {
   const { kind, allowed, way, text } = operation;
   const names = NAMES.filter((_, k) => allowed[k]).join("");
   const along = isFree() ? "" : ` ${way} ${names}`;
-  if (operation.cage.isThing) return [`${LABELS[kind]} ${operation.cage.name}${along}   ${text}`, "X Y Z: axis, with Shift: plane  ·  numbers  ·  Enter  ·  Esc"];
+  if (operation.cage.isObject) return [`${LABELS[kind]} ${operation.cage.name}${along}   ${text}`, "X Y Z: axis, with Shift: plane  ·  numbers  ·  Enter  ·  Esc"];
   const near = store.tools.proportional ? `  ·  wheel: radius ${shown(store.tools.radius)}` : "  ·  O: proportional";
   const alone = operation.mirror ? [...operation.chosen].filter((i) => operation.mirror.partners[i] < 0).length : 0;
   const without = alone ? ` (${alone} without a partner)` : "";

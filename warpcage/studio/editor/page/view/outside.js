@@ -1,20 +1,20 @@
-// The notice that a new thing stands outside of the view, or of the cameras of keys, and what brings it in.
+// The notice that a new object stands outside of the view, or of the cameras of keys, and what brings it in.
 
 import { run, store } from "../core/store.js";
 import { ask, request } from "../core/connection.js";
 import { button, el, perPicture, setText } from "../core/controls.js";
 import { projectAll } from "../geometry/camera.js";
-import { cornersIn, things } from "./things.js";
+import { cornersIn, objects } from "./objects.js";
 import { drawings, getSize, sceneCamera } from "./viewport.js";
 
-let known = null; // the numbers of the things that were there
-let watched = null; // the number of the thing that came last, until it is seen or the notice is closed
+let known = null; // the numbers of the objects that were there
+let watched = null; // the number of the object that came last, until it is seen or the notice is closed
 let outside = null; // count of keys whose cameras do not see all; null until the server told it
 let asked = null; // what was asked of the server last
 
-/** Whether a corner of a thing's box is beyond the edge of the view. */
-function isOutside(thing) {
-  const places = projectAll(sceneCamera(), cornersIn(thing));
+/** Whether a corner of an object's box is beyond the edge of the view. */
+function isOutside(object) {
+  const places = projectAll(sceneCamera(), cornersIn(object));
   const [width, height] = getSize();
   for (let i = 0; i < places.length; i += 3) {
     const [x, y, far] = places.slice(i, i + 3);
@@ -25,9 +25,9 @@ function isOutside(thing) {
 
 const aspect = () => Math.min(20, Math.max(0.05, getSize()[0] / getSize()[1]));
 
-/** Asks how many cameras of keys do not see all; the server knows where things stand at the time of each. */
+/** Asks how many cameras of keys do not see all; the server knows where objects stand at the time of each. */
 async function countKeys(then) {
-  const { timeline, things: all } = store.sections;
+  const { timeline, objects: all } = store.sections;
   if (asked?.timeline === timeline && asked?.all === all) return;
   const mine = (asked = { timeline, all });
   try {
@@ -52,18 +52,18 @@ export function start() {
   root.hidden = true;
   document.getElementById("notes").prepend(root);
   const show = perPicture(() => {
-    const thing = things().find(({ id, visible }) => id === watched && visible);
-    if (thing) countKeys(show);
-    const isBeyond = Boolean(thing) && isOutside(thing);
-    if (thing && !isBeyond && outside === 0) watched = null; // seen: it may leave the view by the hand
-    root.hidden = !thing || store.sections.playback?.playing || !(isBeyond || outside);
+    const object = objects().find(({ id, visible }) => id === watched && visible);
+    if (object) countKeys(show);
+    const isBeyond = Boolean(object) && isOutside(object);
+    if (object && !isBeyond && outside === 0) watched = null; // seen: it may leave the view by the hand
+    root.hidden = !object || store.sections.playback?.playing || !(isBeyond || outside);
     if (root.hidden) return;
     const where = [isBeyond ? "the view" : "", outside ? `${outside} camera ${outside === 1 ? "key" : "keys"}` : ""];
-    setText(text, `"${thing.name}" is not fully in ${where.filter(Boolean).join(" nor in ")}.`);
+    setText(text, `"${object.name}" is not fully in ${where.filter(Boolean).join(" nor in ")}.`);
     all.hidden = !isBeyond;
     keys.hidden = !outside;
   });
-  store.on("things", (list) => {
+  store.on("objects", (list) => {
     const added = known && list.find(({ id }) => !known.has(id));
     known = new Set(list.map(({ id }) => id));
     if (added) [watched, outside, asked] = [added.id, null, null];

@@ -7,7 +7,7 @@ import { ballAt, handleAt } from "./gizmo.js";
 import * as operation from "./operation.js";
 import * as S from "./selecting.js";
 import { isBrush } from "../tools/brush.js";
-import * as things from "./things.js";
+import * as objects from "./objects.js";
 import { camera, compass, gizmo, overlay, requestDraw, surfaceAt } from "./viewport.js";
 
 const MOUSE = { reach: 11, slack: 4 }; // pixels: how near counts as on it, how far counts as a drag
@@ -81,7 +81,7 @@ function startFinger() {
   const coarse = matchMedia("(pointer: coarse)");
   let isTouched = false;
   const show = () => {
-    root.hidden = !(isTouched || coarse.matches) || things.isPlacing() || isPainting() || Boolean(handNow());
+    root.hidden = !(isTouched || coarse.matches) || objects.isPlacing() || isPainting() || Boolean(handNow());
     mode.set(store.tools.finger);
     setText(hint, FINGER_HINTS[store.tools.finger]);
     if (isTouched || coarse.matches) document.getElementById("turn-hint")?.remove(); // it is about the mouse
@@ -204,8 +204,8 @@ function beginTransform(event, at, handle) {
 /** What a press becomes once the pointer has moved: a move of the selection, a turn of the view, or a region. */
 function decide(event, at) {
   const { element, way } = gesture;
-  if (things.isPlacing()) {
-    if (things.isOverBox(camera(), ...gesture.at)) {
+  if (objects.isPlacing()) {
+    if (objects.isOverBox(camera(), ...gesture.at)) {
       beginTransform(event, gesture.at, { kind: "move", allowed: [true, true, true] });
       if (gesture.kind === "transform") operation.follow(at, details(event));
     } else gesture = { ...gesture, kind: "turn", at };
@@ -273,10 +273,10 @@ function onUp(event) {
   if (!gesture || event.pointerId !== gesture.id) return;
   const ended = gesture;
   gesture = null;
-  if (ended.kind === "press" && things.isPlacing()) things.chooseAt(sharesOf(ended.at));
+  if (ended.kind === "press" && objects.isPlacing()) objects.chooseAt(sharesOf(ended.at));
   else if (ended.kind === "press") {
     S.clicked(ended.element, ended.way);
-    if (!ended.element && ended.way === "replace") things.chooseAt(sharesOf(ended.at));
+    if (!ended.element && ended.way === "replace") objects.chooseAt(sharesOf(ended.at));
   }
   else if (ended.kind === "transform") operation.finish();
   else if (ended.kind === "turn") hideHint();

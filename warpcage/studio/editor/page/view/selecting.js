@@ -10,7 +10,7 @@ import { point } from "../geometry/vectors.js";
 import { isBrush, resizeBrush } from "../tools/brush.js";
 import * as C from "./cages.js";
 import * as operation from "./operation.js";
-import { inScene, isPlacing, sceneCorners, things } from "./things.js";
+import { inScene, isPlacing, sceneCorners, objects } from "./objects.js";
 import { camera, getSize, getView, hiddenOf, requestDraw, screenOf, setView } from "./viewport.js";
 
 /** Where the pointer is over the canvas (CSS pixels), or null. */
@@ -206,7 +206,7 @@ function frame(points) {
 
 function frameEverything() {
   const cages = C.visibleCages();
-  if (things().length > 1 || isPlacing()) return frame(sceneCorners());
+  if (objects().length > 1 || isPlacing()) return frame(sceneCorners());
   const points = cages.flatMap((cage) => [...inScene(C.places(cage))]);
   return frame(points.length ? points : (store.sections.session?.field?.bounds ?? []).flat());
 }

@@ -11,7 +11,7 @@ import { drawCompass, drawGizmo, drawGuides, makeCompass, makeGizmo } from "./gi
 import { drawGrid } from "./grid.js";
 import * as operation from "./operation.js";
 import * as subject from "./subject.js";
-import * as things from "./things.js";
+import * as objects from "./objects.js";
 import { scaleOf } from "../geometry/place.js";
 
 const MAX_LATENCIES = 1000;
@@ -75,11 +75,11 @@ function viewNow() {
   return (isPlaying && picture?.header.view) || view || FALLBACK;
 }
 
-/** The camera of the scene, in which things stand. */
+/** The camera of the scene, in which objects stand. */
 export const sceneCamera = () => makeCamera(viewNow(), width, height);
 
-/** The camera that what is edited is drawn with: cages in the coordinates of their thing, boxes in those of the scene. */
-export const camera = () => (things.isPlacing() ? sceneCamera() : makeCamera(things.viewOfActive(viewNow()), width, height));
+/** The camera that what is edited is drawn with: cages in the coordinates of their object, boxes in those of the scene. */
+export const camera = () => (objects.isPlacing() ? sceneCamera() : makeCamera(objects.viewOfActive(viewNow()), width, height));
 const FALLBACK = { eye: [3, 3, 3], target: [0, 0, 0], up: [0, 0, 1], fov: 45 };
 
 export const getView = () => view ?? FALLBACK;
@@ -143,16 +143,16 @@ export function hiddenOf(cage) {
   return result;
 }
 
-/** The picture's distances in the coordinates of the active thing. */
+/** The picture's distances in the coordinates of the active object. */
 function pictureOfActive() {
   if (!picture?.map) return picture;
-  const scale = scaleOf(things.matrixOf(things.activeThing()));
+  const scale = scaleOf(objects.matrixOf(objects.activeObject()));
   const { width: w, height: h, near, far } = picture.map;
   const map = { ...picture.map, near: near / scale, far: far / scale };
-  return { map, camera: makeCamera(things.viewOfActive(picture.header.view), w, h) };
+  return { map, camera: makeCamera(objects.viewOfActive(picture.header.view), w, h) };
 }
 
-/** Where the gizmo stands: the middle of the selection, or of a thing's box; null without one. */
+/** Where the gizmo stands: the middle of the selection, or of an object's box; null without one. */
 function pivotNow() {
   const cage = subject.activeCage();
   if (!cage?.visible || !subject.selected().size) return null;
@@ -161,7 +161,7 @@ function pivotNow() {
 
 /** The handles of the present tool at the selection. */
 export function gizmo() {
-  const isPlacing = things.isPlacing();
+  const isPlacing = objects.isPlacing();
   const pivot = (store.tools.cage || isPlacing) && !operation.current() && pivotNow();
   if (!pivot) return [];
   const cage = subject.activeCage();
@@ -192,8 +192,8 @@ function draw() {
   if (picture?.bitmap) context.drawImage(picture.bitmap, ...pictureBox(scene));
   const field = store.sections.session?.field;
   if (store.tools.grid && field) drawGrid(context, scene, field, picture);
-  if (things.isPlacing()) {
-    things.drawBoxes(context, scene);
+  if (objects.isPlacing()) {
+    objects.drawBoxes(context, scene);
     drawGizmo(context, gizmo(), overlay.handle);
   } else if (store.tools.cage) drawCages(now);
   for (const drawing of drawings) drawing(context, now);
@@ -204,7 +204,7 @@ function draw() {
   else if (store.status.refused) D.drawHint(context, [STARTED_ANEW], height);
   else if (!store.status.connected) D.drawHint(context, ["No connection to the server; trying again …"], height);
   else if (!picture) D.drawHint(context, FIRST_PICTURE, height);
-  else if ((drawnWait = things.waitingFor())) D.drawHint(context, [`${drawnWait} …`], height);
+  else if ((drawnWait = objects.waitingFor())) D.drawHint(context, [`${drawnWait} …`], height);
   if (unshown) onShown();
 }
 
@@ -230,7 +230,7 @@ function drawCages(now) {
 function drawOperation(now, running) {
   const pivot = pivotNow() ?? running.pivot;
   if (!running.allowed.every(Boolean)) drawGuides(context, now, running.pivot, operation.axesNow(), running.allowed);
-  if (store.tools.proportional && !running.cage.isThing) {
+  if (store.tools.proportional && !running.cage.isObject) {
     const [x, y] = project(now, pivot);
     D.drawCircle(context, x, y, (store.tools.radius * running.cage.size) / pixelAt(now, pivot));
   }
@@ -310,8 +310,8 @@ export function start(element) {
 
 subject.whenSent((seq, time) => pending.set(seq, time));
 C.whenChanged(requestDraw);
-for (const name of ["tools", "playback", "settings", "session", "things"]) store.on(name, requestDraw);
-store.on("status", () => (store.status.connected && drawnWait === things.waitingFor()) || requestDraw());
+for (const name of ["tools", "playback", "settings", "session", "objects"]) store.on(name, requestDraw);
+store.on("status", () => (store.status.connected && drawnWait === objects.waitingFor()) || requestDraw());
 
 store.on("view", (content) => {
   if (!viewHeld) view = content;

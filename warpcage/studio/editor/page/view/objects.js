@@ -1,4 +1,4 @@
-// The things of the scene as wholes: which one is active, its box that the hand moves, turns and scales, and clicks.
+// The objects of the scene as wholes: which one is active, its box that the hand moves, turns and scales, and clicks.
 
 import { store } from "../core/store.js";
 import { ask, guard, isCongested, nextSequence, request, send, when } from "../core/connection.js";
@@ -15,75 +15,75 @@ const IDENTITY = [
   [0, 0, 0, 1],
 ];
 
-let hand = null; // the thing that is being moved: {thing, start, before, matrix, label, unsent, time, broken}
-let waiting = null; // what the server said of things meanwhile
+let hand = null; // the object that is being moved: {object, start, before, matrix, label, unsent, time, broken}
+let waiting = null; // what the server said of objects meanwhile
 let latest = null; // for latencies: called with (seq, time of the pointer event)
 
 /** Calls latest(seq, time) with each place that was sent and the time of the pointer event that made it. */
 export const whenSent = (listener) => (latest = listener);
 
-export const things = () => store.sections.things ?? [];
+export const objects = () => store.sections.objects ?? [];
 
-/** The thing that edits, cages and the hand act on, or null before there is one. */
-export const activeThing = () => things().find(({ id }) => id === store.sections.selection?.thing) ?? null;
+/** The object that edits, cages and the hand act on, or null before there is one. */
+export const activeObject = () => objects().find(({ id }) => id === store.sections.selection?.object) ?? null;
 
-/** Whether the hand moves things as wholes. */
+/** Whether the hand moves objects as wholes. */
 export const isPlacing = () => store.sections.settings?.mode === "place";
 
-/** Where a thing is, as the hand has it. */
-export const matrixOf = (thing) => (thing && hand?.thing === thing.id ? hand.matrix : (thing?.matrix ?? IDENTITY));
+/** Where an object is, as the hand has it. */
+export const matrixOf = (object) => (object && hand?.object === object.id ? hand.matrix : (object?.matrix ?? IDENTITY));
 
 const isStill = (matrix) => String(matrix) === String(IDENTITY);
 
-/** A view of the scene in the coordinates of the active thing, in which its cages are. */
+/** A view of the scene in the coordinates of the active object, in which its cages are. */
 export function viewOfActive(view) {
-  const matrix = matrixOf(activeThing());
+  const matrix = matrixOf(activeObject());
   return isStill(matrix) ? view : viewWithin(matrix, view);
 }
 
-/** Flat points of the active thing in the scene. */
+/** Flat points of the active object in the scene. */
 export function inScene(points) {
-  const matrix = matrixOf(activeThing());
+  const matrix = matrixOf(activeObject());
   return isStill(matrix) ? points : placedAll(matrix, points);
 }
 
-/** What the scene waits for, in words, or null: a file that is read, the first picture of a new thing. */
+/** What the scene waits for, in words, or null: a file that is read, the first picture of a new object. */
 export function waitingFor() {
   const { doing, frame } = store.status;
   if (doing) return doing;
-  return frame?.things && things().some(({ id }) => !frame.things.includes(id)) ? "First picture" : null;
+  return frame?.objects && objects().some(({ id }) => !frame.objects.includes(id)) ? "First picture" : null;
 }
 
-/** The corners of a thing's box in the scene, flat. */
-export const cornersIn = (thing) => placedAll(matrixOf(thing), cornersOf(thing.bounds));
+/** The corners of an object's box in the scene, flat. */
+export const cornersIn = (object) => placedAll(matrixOf(object), cornersOf(object.bounds));
 
-/** Corners of all things that are shown, flat. */
-export const sceneCorners = () => things().filter(({ visible }) => visible).flatMap((thing) => [...cornersIn(thing)]);
+/** Corners of all objects that are shown, flat. */
+export const sceneCorners = () => objects().filter(({ visible }) => visible).flatMap((object) => [...cornersIn(object)]);
 
 const ALL = new Set([0, 1, 2, 3, 4, 5, 6, 7]);
 
-/** The box of the active thing as tools take cages: all of its corners are moved together; null where it is kept. */
+/** The box of the active object as tools take cages: all of its corners are moved together; null where it is kept. */
 export function handledBox() {
-  const thing = activeThing();
-  if (!thing?.visible || thing.locked) return null;
-  const places = cornersIn(thing);
+  const object = activeObject();
+  if (!object?.visible || object.locked) return null;
+  const places = cornersIn(object);
   const size = distance(...bounds(places)) || 1;
-  const { id, name } = thing;
-  const matrix = matrixOf(thing);
-  return { id, name, visible: true, isThing: true, axes: axesOf(matrix), matrix, rest: places, posed: places, size, chosen: ALL };
+  const { id, name } = object;
+  const matrix = matrixOf(object);
+  return { id, name, visible: true, isObject: true, axes: axesOf(matrix), matrix, rest: places, posed: places, size, chosen: ALL };
 }
 
 // -- The hand
 
-/** Begins to move the active thing. */
+/** Begins to move the active object. */
 export function begin(box, label) {
-  hand = { thing: box.id, start: box.posed, before: box.matrix, matrix: box.matrix, label: label.slice(0, 100), unsent: false, time: 0 };
+  hand = { object: box.id, start: box.posed, before: box.matrix, matrix: box.matrix, label: label.slice(0, 100), unsent: false, time: 0 };
   start();
 }
 
-/** Tells the server that the hand moves a thing. */
+/** Tells the server that the hand moves an object. */
 function start() {
-  hand.broken = !send({ do: "place.begin", thing: hand.thing, label: hand.label });
+  hand.broken = !send({ do: "place.begin", object: hand.object, label: hand.label });
 }
 
 /** Takes where the corners of the box should be now; the place goes to the server with the next `flush`. */
@@ -98,7 +98,7 @@ export const isWaiting = () => Boolean(hand?.unsent && !hand.broken);
 export function flush(force = false) {
   if (!isWaiting() || (isCongested() && !force)) return;
   const seq = nextSequence();
-  send({ do: "place.set", thing: hand.thing, matrix: hand.matrix, seq });
+  send({ do: "place.set", object: hand.object, matrix: hand.matrix, seq });
   hand.unsent = false;
   latest?.(seq, hand.time);
 }
@@ -112,7 +112,7 @@ export function end(cancel = false) {
   const release = () => {
     if (hand !== done) return; // the hand moves on already
     hand = null;
-    if (waiting) store.set("things", waiting);
+    if (waiting) store.set("objects", waiting);
     waiting = null;
   };
   if (hand.broken) {
@@ -125,8 +125,8 @@ export function end(cancel = false) {
   });
 }
 
-// While the hand moves a thing, what the server says of its place is older than what is seen here
-guard("things", (content) => {
+// While the hand moves an object, what the server says of its place is older than what is seen here
+guard("objects", (content) => {
   if (hand) waiting = content;
   return hand !== null;
 });
@@ -140,19 +140,19 @@ when("hello", () => {
   hand.unsent = true;
 });
 
-/** Makes a thing the active one. */
+/** Makes an object the active one. */
 export function choose(id) {
-  if (store.sections.selection?.thing !== id) request({ do: "thing.select", id });
+  if (store.sections.selection?.object !== id) request({ do: "object.select", id });
 }
 
-/** Makes the thing that a click meets the active one; the place is in shares of the picture. */
+/** Makes the object that a click meets the active one; the place is in shares of the picture. */
 export async function chooseAt({ across, down, aspect }) {
-  if (things().length < 2) return;
-  const found = await request({ do: "thing.pick", across, down, aspect });
-  if (typeof found?.thing === "number") choose(found.thing);
+  if (objects().length < 2) return;
+  const found = await request({ do: "object.pick", across, down, aspect });
+  if (typeof found?.object === "number") choose(found.object);
 }
 
-/** Whether a pixel lies in the box, on the screen, of the thing that the hand may move. */
+/** Whether a pixel lies in the box, on the screen, of the object that the hand may move. */
 export function isOverBox(camera, x, y) {
   const box = handledBox();
   if (!box) return false;
@@ -162,15 +162,15 @@ export function isOverBox(camera, x, y) {
 
 // -- Drawing
 
-function drawBox(context, camera, thing, isActive) {
-  const screen = projectAll(camera, cornersIn(thing));
+function drawBox(context, camera, object, isActive) {
+  const screen = projectAll(camera, cornersIn(object));
   context.beginPath();
   for (const [a, b] of BOX_EDGES) {
     if (screen[3 * a + 2] <= 0 || screen[3 * b + 2] <= 0) continue;
     context.moveTo(screen[3 * a], screen[3 * a + 1]);
     context.lineTo(screen[3 * b], screen[3 * b + 1]);
   }
-  context.setLineDash(thing.locked ? [4, 4] : []);
+  context.setLineDash(object.locked ? [4, 4] : []);
   for (const [color, width] of [[INK.rim, isActive ? 3.4 : 2.4], [isActive ? INK.active : INK.other, isActive ? 1.8 : 1]]) {
     context.strokeStyle = color;
     context.lineWidth = width;
@@ -182,7 +182,7 @@ function drawBox(context, camera, thing, isActive) {
   context.font = "12px system-ui, sans-serif";
   context.textAlign = "center";
   context.textBaseline = "middle";
-  const label = thing.locked ? `${thing.name} (locked)` : thing.name;
+  const label = object.locked ? `${object.name} (locked)` : object.name;
   const [x, y] = [screen[3 * top], screen[3 * top + 1] - 14];
   const half = context.measureText(label).width / 2 + 6;
   context.fillStyle = isActive ? INK.active : INK.label;
@@ -191,11 +191,11 @@ function drawBox(context, camera, thing, isActive) {
   context.fillText(label, x, y);
 }
 
-/** Draws the boxes and names of all things that are shown, the active one last. */
+/** Draws the boxes and names of all objects that are shown, the active one last. */
 export function drawBoxes(context, camera) {
-  const active = activeThing();
+  const active = activeObject();
   context.save();
-  for (const thing of things()) if (thing.visible && thing !== active) drawBox(context, camera, thing, false);
+  for (const object of objects()) if (object.visible && object !== active) drawBox(context, camera, object, false);
   if (active?.visible) drawBox(context, camera, active, true);
   context.restore();
 }

@@ -38,7 +38,7 @@ from ...core.checks import shown
 from ...core.files import DAMAGED, NpyFile, errors_of, file_stamp, read_json, require_file
 from ...core.memory import LRUCache
 from ...core.names import counted
-from ...edits.words import RANDOM, EditWords, canonical, split_reference
+from ...edits.spec import RANDOM, EditSpec, canonical, split_reference
 from ...errors import InputError
 from ...mesh.io import ENDINGS
 from ...scene.formats.transforms import TransformsCameras
@@ -49,11 +49,11 @@ from ...view.camera_path import timed_keys
 
 
 def read_rest(
-    path: str, up: str | None, thing: object = None, *, part: bool = False, name: str | None = None
+    path: str, up: str | None, reference: object = None, *, part: bool = False, name: str | None = None
 ) -> tuple[Cage, dict[str, str]]:
     """A cage at rest around a field or mesh, usable, and the axis to expect in files of its ending; name: its object's.
-    up: "y" or "z"; None finds it by what the cage holds of `thing`, without which it is that of the format."""
-    rest, standing = load_standing(Cage, path, up=up, reference=thing, object=name)
+    up: "y" or "z"; None finds it by what the cage holds of `reference`, without which it is that of the format."""
+    rest, standing = load_standing(Cage, path, up=up, reference=reference, object=name)
     rest.require_usable(f"cage {path!r}")
     # A cage that may hold a part alone, as one of several, is told of only where another axis would hold far more.
     if standing.turned or standing.doubtful or standing.likelier or not part:
@@ -249,11 +249,11 @@ def expected_ups(rest: Cage, texts: Sequence[str], expected: Mapping[str, str] |
     return found
 
 
-#: What is kept at most of items, which name the same things again and again: files that are open to view, cages whose
+#: What is kept at most of items, which name the same files again and again: files that are open to view, cages whose
 #: poses can be measured at once, drawn poses, and cameras of numbers.
 MAX_FILES, MAX_PROBES, MAX_POSES, MAX_CAMERAS = 32, 8, 16, 64
 
-Thing = TypeVar("Thing")
+Value = TypeVar("Value")
 
 
 class RestCage(NamedTuple):
@@ -306,7 +306,7 @@ class References:
             raise InputError(f"{what}: {value!r} names no row: write {name}#17")
         return file.row(int(place))
 
-    def rest_cage(self, edit: EditWords, field: AnyField) -> RestCage:
+    def rest_cage(self, edit: EditSpec, field: AnyField) -> RestCage:
         """The cage at rest of an edit, usable; field: by which the axis of its file is found."""
         if isinstance(edit.cage, str):
             path = self.path(edit.cage)
@@ -320,7 +320,7 @@ class References:
         cage.require_usable(f"cage {edit.cage!r}" if isinstance(edit.cage, str) else "'cage'")
         return RestCage(cage, cage_hash(cage), ups)
 
-    def posed_cage(self, edit: EditWords, rest_cage: RestCage, field: AnyField) -> Cage | None:
+    def posed_cage(self, edit: EditSpec, rest_cage: RestCage, field: AnyField) -> Cage | None:
         """The posed cage of an edit, in the order of the cage at rest; None for an edit that removes.
         field: says what is up in the words of a preset."""
         if edit.remove:
@@ -361,7 +361,7 @@ class References:
 
         return self._drawn.get((rest_cage.hash, canonical(posed)), draw)
 
-    def _keyframes(self, name: str, edit: EditWords, rest_cage: RestCage) -> tuple[PoseFile | None, Cage | None]:
+    def _keyframes(self, name: str, edit: EditSpec, rest_cage: RestCage) -> tuple[PoseFile | None, Cage | None]:
         """The keyframes of a file, None where nothing moves in it, and what its shapes show together."""
         rest = rest_cage.cage
 
@@ -400,13 +400,13 @@ class References:
         camera = cameras.camera(place, own)
         return camera if field.straightening is None else camera.moved(field.straightening)
 
-    def _kept(self, name: str, what: str, read: Callable[[pathlib.Path], Thing], more: Hashable = None) -> Thing:
+    def _kept(self, name: str, what: str, read: Callable[[pathlib.Path], Value], more: Hashable = None) -> Value:
         """What was read from a file, read again where the file has changed."""
         path, stamp = self.stamped(name, what)
         return self._files.get((path, stamp, what, more), lambda: read(pathlib.Path(path)))
 
 
-def _posed_file(path: pathlib.Path, edit: EditWords, rest_cage: RestCage) -> Cage:
+def _posed_file(path: pathlib.Path, edit: EditSpec, rest_cage: RestCage) -> Cage:
     """The posed cage of a cage file, in the order of the cage at rest."""
     expected = rest_cage.ups.get(path.suffix.lower())
     posed = load_standing(Cage, path, up=edit.up, reference=rest_cage.cage, expected=expected)[0]

@@ -12,7 +12,7 @@ from warpcage.studio.cli import main
 BOX = Cage.box((-1, -1, -1), (1, 1, 1))
 
 
-def test_numbers_of_things():
+def test_numbers_and_their_nouns():
     assert [counted(count, "frame") for count in (0, 1, 2)] == ["0 frames", "1 frame", "2 frames"]
     assert [counted(count, "vertex", "vertices") for count in (1, 2)] == ["1 vertex", "2 vertices"]
     assert [agreed(count, "is", "are") for count in (0, 1, 2)] == ["are", "is", "are"]

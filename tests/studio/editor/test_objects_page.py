@@ -1,4 +1,4 @@
-"""Several things at the editor's page, in a real browser: added, placed by the mouse and by keys, keyed, exported."""
+"""Several objects at the editor's page, in a real browser: added, placed by the mouse and by keys, keyed, exported."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ def green(editor: Any, tmp_path: Path) -> str:
 
 def add(window: Window, name: str) -> int:
     """Adds a field of the folder by the mouse, and gives its number."""
-    window.unfold("things")
-    window.click("#thing-add")
+    window.unfold("objects")
+    window.click("#object-add")
     window.wait('document.getElementById("ask-file")')
     names = window.get('[...document.getElementById("ask-file").options].map((one) => one.textContent)')
     window.choose("#ask-file", str(names.index(name)))
     window.confirm()
-    window.wait("warpcage.store.sections.things.length === 2", "two things")
-    return window.section("things")[1]["id"]
+    window.wait("warpcage.store.sections.objects.length === 2", "two objects")
+    return window.section("objects")[1]["id"]
 
 
-def test_a_thing_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, green: str, tmp_path: Path) -> None:
+def test_a_object_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, green: str, tmp_path: Path) -> None:
     looks_cheap(window)
     number = add(window, green)
-    beside = editor.document.thing(number).place
+    beside = editor.document.scene_object(number).place
     assert beside.position[0] > 2.0 and beside.scale == 1.0  # upright, beside the ball
     assert window.section("edits") == []
     window.click("#mode label:has([value=place])")
@@ -62,49 +62,49 @@ def test_a_thing_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, 
     way = np.array(line[1]) - line[0]
     window.drag([begin + way * share for share in np.linspace(0.0, 1.0, 10)])
     until(lambda: len(editor.session.history.undo_steps) == steps + 1, "one step")
-    moved = editor.document.thing(number).place
+    moved = editor.document.scene_object(number).place
     assert moved.position[0] > beside.position[0] + 0.1
     np.testing.assert_allclose(moved.position[1:], beside.position[1:], atol=1e-9)
-    shown = "Math.abs(warpcage.store.sections.things[1].place.position[0] - arguments[0]) < 1e-9"
+    shown = "Math.abs(warpcage.store.sections.objects[1].place.position[0] - arguments[0]) < 1e-9"
     window.wait(shown, "the page knows", moved.position[0])
 
     # keys turn and scale it about its middle, numbers are typed in the panel
     window.press("R", "Z", "9", "0", "Enter", "S", "0", ".", "5", "Enter")
-    until(lambda: editor.document.thing(number).place.scale < 0.6, "it is scaled")
-    place = editor.document.thing(number).place
+    until(lambda: editor.document.scene_object(number).place.scale < 0.6, "it is scaled")
+    place = editor.document.scene_object(number).place
     np.testing.assert_allclose([*place.turn, place.scale], [0, 0, 90, 0.5], atol=1e-6)
     np.testing.assert_allclose(place.position, moved.position, atol=1e-6)  # the middle of its box is its origin
-    window.fill("#thing-position-z", "1.25\n")
-    until(lambda: editor.document.thing(number).place.position[2] == 1.25, "the typed number")
+    window.fill("#object-position-z", "1.25\n")
+    until(lambda: editor.document.scene_object(number).place.position[2] == 1.25, "the typed number")
     window.press("Ctrl+Z")
-    until(lambda: editor.document.thing(number).place == place, "undone")
+    until(lambda: editor.document.scene_object(number).place == place, "undone")
     window.press("Ctrl+Shift+Z")
-    until(lambda: editor.document.thing(number).place.position[2] == 1.25, "done again")
+    until(lambda: editor.document.scene_object(number).place.position[2] == 1.25, "done again")
 
     # a click picks the ball, then the green one
     window.rest()
     ball = on_page(window, (0, 0, 0))
     window.drag([ball])
-    window.wait("warpcage.store.sections.selection.thing === arguments[0]", "the ball is picked", MAIN)
+    window.wait("warpcage.store.sections.selection.object === arguments[0]", "the ball is picked", MAIN)
     assert [edit["id"] for edit in window.section("edits")] == [1]
-    window.drag([on_page(window, editor.document.thing(number).place.position)])
-    window.wait("warpcage.store.sections.selection.thing === arguments[0]", "the green one is picked", number)
+    window.drag([on_page(window, editor.document.scene_object(number).place.position)])
+    window.wait("warpcage.store.sections.selection.object === arguments[0]", "the green one is picked", number)
 
     window.press("T")  # where cages are posed a click beside them picks too
     window.wait('warpcage.store.sections.settings.mode === "pose"')
     window.drag([ball])
-    window.wait("warpcage.store.sections.selection.thing === arguments[0]", "the ball is picked", MAIN)
-    window.drag([on_page(window, editor.document.thing(number).place.position)])
-    window.wait("warpcage.store.sections.selection.thing === arguments[0]", "the green one is picked", number)
+    window.wait("warpcage.store.sections.selection.object === arguments[0]", "the ball is picked", MAIN)
+    window.drag([on_page(window, editor.document.scene_object(number).place.position)])
+    window.wait("warpcage.store.sections.selection.object === arguments[0]", "the green one is picked", number)
     window.press("T")
     window.wait('warpcage.store.sections.settings.mode === "place"')
 
     # a second key, and a film of both
     window.fill("#time", "1\n")
     until(lambda: editor.document.time == 1.0, "one second")
-    assert editor.document.thing(number).place == beside  # that of the only key
+    assert editor.document.scene_object(number).place == beside  # that of the only key
     window.press("G", "Z", "1", "Enter")
-    until(lambda: editor.document.thing(number).place.position[2] > 0.9, "it is lifted")
+    until(lambda: editor.document.scene_object(number).place.position[2] > 0.9, "it is lifted")
     window.press("K")
     until(lambda: len(editor.document.timeline.keys) == 2, "two keys")
     window.unfold("film")
@@ -131,20 +131,20 @@ def test_a_thing_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, 
     assert list(stage.items) == ["ball", "green"] and stage.length == 1.0
 
     # copied, locked, hidden and removed by the panel
-    window.click("#thing-copy")
-    window.wait("document.querySelectorAll('#thing-list li').length === 3")
-    window.click("#thing-list li:last-child .lock")
-    window.wait("warpcage.store.sections.things[2].locked && document.getElementById('thing-remove').disabled")
+    window.click("#object-copy")
+    window.wait("document.querySelectorAll('#object-list li').length === 3")
+    window.click("#object-list li:last-child .lock")
+    window.wait("warpcage.store.sections.objects[2].locked && document.getElementById('object-remove').disabled")
     assert window.get("warpcage.viewport.handles().length") == 0
-    window.click("#thing-list li:last-child .lock")
-    window.click("#thing-list li:last-child .eye:not(.lock)")
-    window.wait("!warpcage.store.sections.things[2].visible && !document.getElementById('thing-remove').disabled")
-    window.click("#thing-remove")
+    window.click("#object-list li:last-child .lock")
+    window.click("#object-list li:last-child .eye:not(.lock)")
+    window.wait("!warpcage.store.sections.objects[2].visible && !document.getElementById('object-remove').disabled")
+    window.click("#object-remove")
     window.confirm()
-    window.wait("warpcage.store.sections.things.length === 2")
+    window.wait("warpcage.store.sections.objects.length === 2")
 
 
-def test_a_finger_drags_a_thing(window: Window, editor: Any, green: str) -> None:
+def test_a_finger_drags_a_object(window: Window, editor: Any, green: str) -> None:
     looks_cheap(window)
     number = add(window, green)
     window.press("T")
@@ -153,7 +153,7 @@ def test_a_finger_drags_a_thing(window: Window, editor: Any, green: str) -> None
     window.press("Home")
     window.wait("String(warpcage.store.sections.view.eye) !== String(arguments[0])", "all is framed", eye)
     window.rest()
-    before = editor.document.thing(number).place
+    before = editor.document.scene_object(number).place
     begin = on_page(window, before.moved([[0.3, 0, -0.4]])[0])
 
     def touch(kind: str, *places: Any) -> None:
@@ -164,22 +164,22 @@ def test_a_finger_drags_a_thing(window: Window, editor: Any, green: str) -> None
     for step in range(1, 9):
         touch("touchMove", begin + np.array([5.0, -8.0]) * step)
     touch("touchEnd")
-    until(lambda: editor.document.thing(number).place != before and not editor.session.moving, "it is moved")
-    moved = editor.document.thing(number).place
+    until(lambda: editor.document.scene_object(number).place != before and not editor.session.moving, "it is moved")
+    moved = editor.document.scene_object(number).place
     way = on_page(window, moved.position) - on_page(window, before.position)
     np.testing.assert_allclose(way, [40.0, -64.0], atol=1.0)
 
 
-def test_cages_of_a_placed_thing_are_posed_in_its_own_coordinates(window: Window, editor: Any) -> None:
+def test_cages_of_a_placed_object_are_posed_in_its_own_coordinates(window: Window, editor: Any) -> None:
     looks_cheap(window)
     turned = warpcage.Place((0.5, 0.0, 0.0), (0.0, 0.0, 90.0), 0.5)
     window.driver.execute_script(
         """return import("/" + arguments[0] + "/core/connection.js").then(({request}) => request(
-        {do: "thing.change", id: 0, place: {position: [0.5, 0, 0], turn: [0, 0, 90], scale: 0.5}}))""",
+        {do: "object.change", id: 0, place: {position: [0.5, 0, 0], turn: [0, 0, 90], scale: 0.5}}))""",
         window.address.split("/")[3],
     )
-    until(lambda: editor.document.things[0].place == turned, "it is placed")
-    window.wait("warpcage.store.sections.things[0].place.scale === 0.5")
+    until(lambda: editor.document.objects[0].place == turned, "it is placed")
+    window.wait("warpcage.store.sections.objects[0].place.scale === 0.5")
     shown, box = window.places(), window.box
     there = turned.moved(CAGE.vertices)
     expected = [projected(window.section("view"), place, box["width"], box["height"])[:2] for place in there]
@@ -188,7 +188,7 @@ def test_cages_of_a_placed_thing_are_posed_in_its_own_coordinates(window: Window
     until(lambda: np.allclose(editor.posed[0].vertices, CAGE.vertices + [0.4, 0, 0], atol=1e-9), "along its own x")
 
 
-def test_a_new_thing_outside_the_view_is_told_and_brought_in(window: Window, editor: Any, green: str) -> None:
+def test_a_new_object_outside_the_view_is_told_and_brought_in(window: Window, editor: Any, green: str) -> None:
     looks_cheap(window)
     window.press("K")
     window.wait("warpcage.store.sections.timeline.keys.length === 1")
@@ -209,7 +209,7 @@ def test_a_new_thing_outside_the_view_is_told_and_brought_in(window: Window, edi
 
 
 @pytest.mark.parametrize("again", [True, False], ids=["the line comes back", "the line stays away"])
-def test_a_connection_that_breaks_while_a_thing_is_moved(window: Window, editor: Any, again: bool) -> None:
+def test_a_connection_that_breaks_while_a_object_is_moved(window: Window, editor: Any, again: bool) -> None:
     looks_cheap(window)
     with tunnel(editor.url) as (line, address):
         window.open(address)
@@ -218,13 +218,13 @@ def test_a_connection_that_breaks_while_a_thing_is_moved(window: Window, editor:
         begin = on_page(window, (0.3, 0.0, -0.4))
 
         def moved_by() -> np.ndarray:
-            """How far the thing was moved, CSS pixels."""
-            return on_page(window, editor.document.things[0].place.position) - on_page(window, (0.0, 0.0, 0.0))
+            """How far the object was moved, CSS pixels."""
+            return on_page(window, editor.document.objects[0].place.position) - on_page(window, (0.0, 0.0, 0.0))
 
         window.point("mouseMoved", begin)
         window.point("mousePressed", begin, button="left")
         window.point("mouseMoved", begin + [10, 0], button="left")
-        until(lambda: editor.document.things[0].place != warpcage.Place(), "the move arrives")
+        until(lambda: editor.document.objects[0].place != warpcage.Place(), "the move arrives")
         line.cut()
         window.wait("!warpcage.store.status.connected", "the page knows that the line is broken")
         window.point("mouseMoved", begin + [30, 0], button="left")
@@ -259,20 +259,20 @@ WebSocket.prototype.send = function (words) {
 
 
 @pytest.mark.parametrize(
-    "held, said", [("upload", "Uploading green.npz"), ("thing.add", "Reading green.npz"), ("picture", "First picture")]
+    "held, said", [("upload", "Uploading green.npz"), ("object.add", "Reading green.npz"), ("picture", "First picture")]
 )
-def test_the_page_says_what_a_new_thing_waits_for(window: Window, editor: Any, green: str, tmp_path: Path, held, said):
+def test_the_page_says_what_a_new_object_waits_for(window: Window, editor: Any, green: str, tmp_path: Path, held, said):
     looks_cheap(window)
-    window.unfold("things")
+    window.unfold("objects")
     window.rest()
     window.driver.execute_script(HOLD)
     (tmp_path / "mine").mkdir()
     (tmp_path / green).rename(tmp_path / "mine" / green)  # on the user's computer
     window.get("hold(arguments[0])", held)
-    window.driver.find_element("id", "thing-upload-file").send_keys(str(tmp_path / "mine" / green))
+    window.driver.find_element("id", "object-upload-file").send_keys(str(tmp_path / "mine" / green))
     window.wait("document.getElementById('speed').textContent.startsWith(arguments[0])", said, said)
     window.get("go()")
-    window.wait("warpcage.store.sections.things.length === 2", "it is in the scene")
+    window.wait("warpcage.store.sections.objects.length === 2", "it is in the scene")
     window.rest()
     window.wait("document.getElementById('speed').textContent.startsWith('at rest')", "nothing is waited for")
 
@@ -295,7 +295,7 @@ def test_an_upload_that_is_refused_or_cancelled_is_gone(window: Window, tmp_path
     def left(*names: str) -> None:
         until(lambda: shown(tmp_path) == ["ball.npz", *names, "sent"], f"{names} are left")
 
-    upload("#thing-upload-file", "bad.npz")
+    upload("#object-upload-file", "bad.npz")
     window.wait("document.querySelector('.toast.error')?.textContent.includes('bad.npz is not a')")
     left()
     upload("#cage-upload-file", "cage.obj")  # asked for which edit
@@ -322,7 +322,7 @@ NAMED = [
     ("film", "#export-cage"),
     ("film", "#export-poses"),
     ("film", "#export-bake"),
-    ("things", "#stage-save"),
+    ("objects", "#stage-save"),
 ]
 
 
@@ -373,8 +373,8 @@ def test_a_coarse_picture_is_not_called_at_rest(window: Window) -> None:
 
 def test_add_object_in_an_empty_folder_names_the_ways_there_are(window: Window, editor: Any, tmp_path: Path) -> None:
     (tmp_path / "ball.npz").unlink()
-    window.unfold("things")
-    window.click("#thing-add")
+    window.unfold("objects")
+    window.click("#object-add")
     said = window.wait("document.querySelector('#toasts > *')?.textContent")
     for button in ("upload", "copy"):
-        assert window.get("document.getElementById(arguments[0]).textContent", f"thing-{button}").rstrip("…") in said
+        assert window.get("document.getElementById(arguments[0]).textContent", f"object-{button}").rstrip("…") in said

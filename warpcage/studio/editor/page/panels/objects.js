@@ -1,34 +1,34 @@
-// The things of the scene: which fields are in it, where they stand, and what is done with them as wholes.
+// The objects of the scene: which fields are in it, where they stand, and what is done with them as wholes.
 
 import { store } from "../core/store.js";
 import { ask, request } from "../core/connection.js";
 import { askFor, confirmThat, toast } from "../core/dialogs.js";
 import { button, el, followKey, group, icon, listBox, number, perPicture, setIcon, setText, short, text } from "../core/controls.js";
 import { AXIS_NAMES } from "../geometry/vectors.js";
-import { activeThing, choose, things } from "../view/things.js";
+import { activeObject, choose, objects } from "../view/objects.js";
 import { uploadField } from "./cage.js";
 import { counted, film } from "./keys.js";
 
 const FIELDS = ".npz,.ply,.spz,.sog,.splat,.glb";
 const OWN = 0; // the number of the field that the session is of
 
-const change = (id, changes) => request({ do: "thing.change", id, ...changes });
+const change = (id, changes) => request({ do: "object.change", id, ...changes });
 
-/** A listener that calls work(thing, ...) with the active thing, where there is one. */
-const withThing = (work) => (...given) => {
-  const thing = activeThing();
-  if (thing) work(thing, ...given);
+/** A listener that calls work(object, ...) with the active object, where there is one. */
+const withObject = (work) => (...given) => {
+  const object = activeObject();
+  if (object) work(object, ...given);
 };
 
 /** Adds a field or a mesh of the session's folder. */
 async function addFile(file, isBeside = true) {
   store.setStatus({ doing: `Reading ${file}` });
-  await request({ do: "thing.add", file, beside: isBeside });
+  await request({ do: "object.add", file, beside: isBeside });
   store.setStatus({ doing: null });
 }
 
 async function add() {
-  const { files } = (await request({ do: "thing.files" })) ?? {};
+  const { files } = (await request({ do: "object.files" })) ?? {};
   if (!files) return;
   if (!files.length) {
     toast("The session's folder has no scene file and no mesh: Upload one, or Duplicate the object.", "warning");
@@ -49,15 +49,15 @@ async function add() {
 /** A second one, a little to the side. */
 function copy({ id, bounds: [lower, upper], place }) {
   const wide = place.scale * Math.max(...upper.map((value, k) => value - lower[k]));
-  return request({ do: "thing.copy", id, offset: [1.1 * wide, 0, 0] });
+  return request({ do: "object.copy", id, offset: [1.1 * wide, 0, 0] });
 }
 
 async function remove({ id, name }) {
   const own = store.sections.edits.map((edit) => edit.id); // it is the active one
-  const keys = film().keys.filter((key) => key.things.includes(id) || key.edits.some((edit) => own.includes(edit)));
+  const keys = film().keys.filter((key) => key.objects.includes(id) || key.edits.some((edit) => own.includes(edit)));
   const lost = keys.length ? `, its cages and its part of ${counted(keys)} go` : " and its cages go";
   const isSure = await confirmThat("Remove the object?", `"${name}"${lost}; undo brings them back.`, "Remove");
-  if (isSure) request({ do: "thing.remove", id });
+  if (isSure) request({ do: "object.remove", id });
 }
 
 async function saveStage() {
@@ -79,8 +79,8 @@ function makeRow({ id }) {
   const note = el("span", { class: "row-note" });
   const lock = el("span", { class: "eye lock", title: "Lock or unlock its position", "aria-hidden": "true" });
   lock.append(icon("unlock"));
-  const root = el("li", { id: `thing-${id}`, class: "list-row", role: "option" }, eye, name, note, lock);
-  const now = () => things().find((thing) => thing.id === id);
+  const root = el("li", { id: `object-${id}`, class: "list-row", role: "option" }, eye, name, note, lock);
+  const now = () => objects().find((object) => object.id === id);
   const toggle = (flag) => (event) => {
     event.stopPropagation();
     change(id, { [flag]: !now()[flag] });
@@ -88,44 +88,44 @@ function makeRow({ id }) {
   eye.addEventListener("click", toggle("visible"));
   lock.addEventListener("click", toggle("locked"));
   root.addEventListener("click", () => choose(id));
-  root.addEventListener("dblclick", () => document.getElementById("thing-name").select());
-  const update = (thing) => {
-    setText(name, thing.name);
-    setText(note, thing.size.split(" ").at(-1)); // voxels or splats
-    note.title = thing.size;
-    setIcon(eye, thing.visible ? "eye" : "eye-off");
-    setIcon(lock, thing.locked ? "lock" : "unlock");
-    lock.classList.toggle("off", !thing.locked);
-    root.setAttribute("aria-selected", String(store.sections.selection?.thing === id));
-    root.setAttribute("aria-label", `${thing.name}, ${thing.size}, ${thing.visible ? "shown" : "hidden"}${thing.locked ? ", locked" : ""}`);
-    root.classList.toggle("dim", !thing.visible);
+  root.addEventListener("dblclick", () => document.getElementById("object-name").select());
+  const update = (object) => {
+    setText(name, object.name);
+    setText(note, object.size.split(" ").at(-1)); // voxels or splats
+    note.title = object.size;
+    setIcon(eye, object.visible ? "eye" : "eye-off");
+    setIcon(lock, object.locked ? "lock" : "unlock");
+    lock.classList.toggle("off", !object.locked);
+    root.setAttribute("aria-selected", String(store.sections.selection?.object === id));
+    root.setAttribute("aria-label", `${object.name}, ${object.size}, ${object.visible ? "shown" : "hidden"}${object.locked ? ", locked" : ""}`);
+    root.classList.toggle("dim", !object.visible);
   };
   return { root, update };
 }
 
 function onListKey(event) {
-  const thing = activeThing();
-  if (!thing || event.ctrlKey || event.metaKey || event.altKey) return;
-  const at = things().indexOf(thing);
-  const go = (by) => things()[at + by] && choose(things()[at + by].id);
+  const object = activeObject();
+  if (!object || event.ctrlKey || event.metaKey || event.altKey) return;
+  const at = objects().indexOf(object);
+  const go = (by) => objects()[at + by] && choose(objects()[at + by].id);
   const ways = {
     ArrowUp: () => go(-1),
     ArrowDown: () => go(1),
-    " ": () => change(thing.id, { visible: !thing.visible }),
-    Enter: () => document.getElementById("thing-name").select(),
-    F2: () => document.getElementById("thing-name").select(),
-    Delete: () => thing.id !== OWN && remove(thing),
+    " ": () => change(object.id, { visible: !object.visible }),
+    Enter: () => document.getElementById("object-name").select(),
+    F2: () => document.getElementById("object-name").select(),
+    Delete: () => object.id !== OWN && remove(object),
   };
   followKey(ways, event);
 }
 
-/** The numbers of the active thing's place: {nodes, show}. */
+/** The numbers of the active object's place: {nodes, show}. */
 function placeFields() {
-  const put = (changes) => withThing((thing) => change(thing.id, { place: { ...thing.place, ...changes(thing.place) } }))();
+  const put = (changes) => withObject((object) => change(object.id, { place: { ...object.place, ...changes(object.place) } }))();
   const triple = (word, label, unit, step) => {
     const fields = AXIS_NAMES.map((axis, i) =>
       number({
-        id: `thing-${word}-${axis}`,
+        id: `object-${word}-${axis}`,
         step,
         label: `${label}, ${axis}`,
         title: `${label}, ${axis}${unit}: type a number and press Enter`,
@@ -134,13 +134,13 @@ function placeFields() {
       }),
     );
     const root = el("div", { class: "place", role: "group", "aria-label": label });
-    AXIS_NAMES.forEach((axis, i) => root.append(el("label", { for: `thing-${word}-${axis}` }, axis), fields[i].input));
+    AXIS_NAMES.forEach((axis, i) => root.append(el("label", { for: `object-${word}-${axis}` }, axis), fields[i].input));
     return { root, show: (values) => fields.forEach((field, i) => field.set(Number(short(values[i], 4)))), inputs: fields.map(({ input }) => input) };
   };
   const position = triple("position", "Position", "", 0.1);
   const turn = triple("turn", "Rotation", ", degrees about the scene's axes, x first", 5);
-  const scale = number({ id: "thing-scale", label: "Scale", title: "Size compared with its own file", min: 1e-6, max: 1e6, step: 0.1, unit: "times", onChange: (value) => put(() => ({ scale: value })) });
-  const reset = button({ id: "thing-reset", label: "Back to the file's position", title: "Reset position, rotation and scale", onClick: () => put(() => ({ position: [0, 0, 0], turn: [0, 0, 0], scale: 1 })) });
+  const scale = number({ id: "object-scale", label: "Scale", title: "Size compared with its own file", min: 1e-6, max: 1e6, step: 0.1, unit: "times", onChange: (value) => put(() => ({ scale: value })) });
+  const reset = button({ id: "object-reset", label: "Back to the file's position", title: "Reset position, rotation and scale", onClick: () => put(() => ({ position: [0, 0, 0], turn: [0, 0, 0], scale: 1 })) });
   const inputs = [...position.inputs, ...turn.inputs, scale.input, reset];
   const show = ({ place, locked }) => {
     position.show(place.position);
@@ -152,44 +152,44 @@ function placeFields() {
   return { nodes: [heading("Position"), position.root, heading("Rotation, degrees"), turn.root, scale.root, reset], show };
 }
 
-/** The group of the things: {root, start()}. */
-export function thingsGroup() {
+/** The group of the objects: {root, start()}. */
+export function objectsGroup() {
   const list = listBox({
-    id: "thing-list",
+    id: "object-list",
     label: "Objects",
     title: "Up and Down choose, Space shows or hides, Enter renames, Delete removes",
     empty: "No objects yet.",
     onKey: onListKey,
     make: makeRow,
   });
-  const upload = uploadField("thing-upload-file", "Scene or mesh file", FIELDS, (file) => addFile(file));
+  const upload = uploadField("object-upload-file", "Scene or mesh file", FIELDS, (file) => addFile(file));
   const tools = el(
     "div",
     { class: "row tight" },
-    button({ id: "thing-add", label: "Add object…", icon: "plus", keep: true, title: "Add a scene file or mesh from the session's folder", onClick: add }),
-    button({ id: "thing-upload", label: "Upload…", title: "Upload a scene file or mesh from this computer, and add it", onClick: () => upload.click() }),
+    button({ id: "object-add", label: "Add object…", icon: "plus", keep: true, title: "Add a scene file or mesh from the session's folder", onClick: add }),
+    button({ id: "object-upload", label: "Upload…", title: "Upload a scene file or mesh from this computer, and add it", onClick: () => upload.click() }),
     el("span", { class: "spring" }),
-    button({ id: "thing-copy", label: "Duplicate", icon: "copy", title: "Duplicate the active object with its cages and keys", onClick: withThing(copy) }),
-    button({ id: "thing-remove", label: "Remove", icon: "delete", title: "Remove the active object from the scene (Delete in the list)", onClick: withThing(remove) }),
+    button({ id: "object-copy", label: "Duplicate", icon: "copy", title: "Duplicate the active object with its cages and keys", onClick: withObject(copy) }),
+    button({ id: "object-remove", label: "Remove", icon: "delete", title: "Remove the active object from the scene (Delete in the list)", onClick: withObject(remove) }),
   );
-  const name = text({ id: "thing-name", label: "Name", title: "Name of the active object (Enter keeps it)", maxlength: 100, onChange: withThing((thing, to) => thing.name !== to && change(thing.id, { name: to })) });
+  const name = text({ id: "object-name", label: "Name", title: "Name of the active object (Enter keeps it)", maxlength: 100, onChange: withObject((object, to) => object.name !== to && change(object.id, { name: to })) });
   const place = placeFields();
   const save = button({ id: "stage-save", label: "Save scene…", title: "All objects with cages and poses in one file, which warpcage render and edit open", onClick: saveStage });
   const details = el("div", { class: "stack" }, name.root, ...place.nodes, save);
-  const made = group("things", "Objects", false, ...list.parts, tools, upload, details);
+  const made = group("objects", "Objects", false, ...list.parts, tools, upload, details);
   const show = perPicture(() => {
-    const thing = activeThing();
-    list.show(things(), thing && `thing-${thing.id}`);
-    setText(made.note, things().length > 1 ? `${thing?.name ?? ""} · ${things().length}` : "");
-    details.hidden = !thing;
-    document.getElementById("thing-copy").disabled = !thing;
-    document.getElementById("thing-remove").disabled = !thing || thing.id === OWN || thing.locked;
-    if (!thing) return;
-    name.set(thing.name);
-    place.show(thing);
+    const object = activeObject();
+    list.show(objects(), object && `object-${object.id}`);
+    setText(made.note, objects().length > 1 ? `${object?.name ?? ""} · ${objects().length}` : "");
+    details.hidden = !object;
+    document.getElementById("object-copy").disabled = !object;
+    document.getElementById("object-remove").disabled = !object || object.id === OWN || object.locked;
+    if (!object) return;
+    name.set(object.name);
+    place.show(object);
   });
   const start = () => {
-    store.on("things", show);
+    store.on("objects", show);
     store.on("selection", show);
     show();
   };

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_type_hints
 
 from ..cage.random_poses import POSE_MODES, RandomPoseOptions
 from ..core.checks import checked_number, checked_positive, checked_whole, listed, shown
-from ..core.names import BACKGROUNDS, TRANSPARENT, edit_fields, edit_words
+from ..core.names import BACKGROUNDS, TRANSPARENT, renamed_keys
 from ..errors import InputError
 
 #: Takes a value of JSON and the word that it stands at, and returns it as items have it.
@@ -127,7 +127,7 @@ def anything(value: Any, word: str) -> Any:
     return value
 
 
-def checked_words(entry: Mapping[str, Any], known: Mapping[str, Checker], what: str) -> dict[str, Any]:
+def checked_keys(entry: Mapping[str, Any], known: Mapping[str, Checker], what: str) -> dict[str, Any]:
     """The words of an object, each checked; null is a word that was left out."""
     if not isinstance(entry, Mapping):
         raise InputError(f"{what} must be an object, got {shown(entry)}")
@@ -178,14 +178,14 @@ def drawn_pose(value: Any, word: str) -> dict[str, Any]:
     value: {"random": {"seed": 0, "number": 12}}; `stretch`, `reach` and `modes` if they are not usual."""
     if set(value) != {RANDOM} or not isinstance(value[RANDOM], dict):
         raise InputError(f'{word} must be an array, or {{"random": {{"seed": 0, "number": 12}}}}, got {shown(value)}')
-    given = checked_words(value[RANDOM], _WORDS, f"{RANDOM!r} of {word}")
+    given = checked_keys(value[RANDOM], _WORDS, f"{RANDOM!r} of {word}")
     if "number" not in given:
         raise InputError(f"{RANDOM!r} of {word} needs a 'number', which of the poses of its seed it is")
     bounds = {name: tuple(given[name]) for name in given if name not in ("seed", "number")}
     return {RANDOM: {"seed": given.get("seed", 0), "number": given["number"], **_bounds(**bounds)}}
 
 
-def drawn_words(chance: RandomPoseOptions, number: int) -> dict[str, Any]:
+def drawn_pose_spec(chance: RandomPoseOptions, number: int) -> dict[str, Any]:
     """The "posed" by which a line of a job file names a random pose: without what is usual."""
     usual, found = _bounds(), _bounds(stretch=chance.stretch, reach=chance.reach, modes=chance.modes)
     own = {name: value for name, value in found.items() if value != usual[name]}
@@ -234,7 +234,7 @@ def held_walls(value: Any, word: str) -> str | tuple[int, ...]:
 
 
 @dataclasses.dataclass(frozen=True)
-class EditWords:
+class EditSpec:
     """One edit with the words of `warpcage.CageEdit`, as job files, edits files and --edit have it."""
 
     cage: Annotated[Any, _cage]  # at rest: a file, or "vertices" and "faces"
@@ -272,22 +272,22 @@ class EditWords:
         return self.held if isinstance(self.held, str) else ",".join(map(str, self.held))
 
     @classmethod
-    def from_json(cls, entry: Any, what: str) -> EditWords:
+    def from_json(cls, entry: Any, what: str) -> EditSpec:
         """An edit from JSON; what: how messages call it. Raises ValueError for words that cannot be."""
         try:
             if not isinstance(entry, Mapping):
                 raise InputError(f"it must be an object with a cage, got {shown(entry)}")
-            given = checked_words(entry, EDIT_WORDS, "it")
+            given = checked_keys(renamed_keys(entry), EDIT_KEYS, "it")
             if "cage" not in given:
                 raise InputError("it names no cage")
-            return cls(**edit_fields(given))
+            return cls(**given)
         except ValueError as error:
             raise InputError(f"{what}: {error}") from None
 
     def to_json(self) -> dict[str, Any]:
         """The edit as JSON: what differs from the default; no width is as none."""
         fields = ((field.name, getattr(self, field.name), field.default) for field in dataclasses.fields(self))
-        return edit_words({name: plain(value) for name, value, usual in fields if value not in (usual, 0.0)})
+        return {name: plain(value) for name, value, usual in fields if value not in (usual, 0.0)}
 
     @property
     def is_drawn(self) -> bool:
@@ -306,4 +306,4 @@ def checkers(fields: type) -> dict[str, Checker]:
     return {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
 
 
-EDIT_WORDS = edit_words(checkers(EditWords))
+EDIT_KEYS = checkers(EditSpec)

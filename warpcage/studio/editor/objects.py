@@ -1,4 +1,4 @@
-"""The things of a scene: what a page may do with them, the files of their fields, and stage files."""
+"""The objects of a scene: what a page may do with them, the files of their fields, and stage files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ...edits.place import Place, PlaceFile, near_turn, seen_from
 from ...edits.stage_file import STAGE_ENDING, free_name, read_deformation, read_stage_file
 from ...errors import InputError
 from ...render.surface_file import SURFACE_ENDINGS
-from ...render.surface_mesh import AnyThing, SurfaceMesh, is_mesh_file, load_thing
+from ...render.surface_mesh import AnyObject, SurfaceMesh, is_mesh_file, load_object
 from ...select.objects import select_object
 from ...select.selection import NodeSelection
 from ...splats.io import is_splat_file
@@ -29,22 +29,22 @@ from ...splats.splat_field import AnyField
 from ...view.motion import axis_rotation
 from .checks import (
     MAX_KEYS,
-    MAX_THINGS,
+    MAX_OBJECTS,
     RESOLUTIONS,
-    changed_words,
+    changed_names,
     checked_click,
     checked_flag,
     checked_name,
     checked_triple,
 )
-from .document import MAIN, Document, Edit, Key, Selection, Thing, checked_place, new_edit
+from .document import MAIN, Document, Edit, Key, SceneObject, Selection, checked_place, new_edit
 from .pictures.scene import Fields, PosedScene, clicked_pixel
 from .timeline import place_files
 
 if TYPE_CHECKING:
     from .tasks import Tasks
 
-#: How far a new thing stands from the others, as a share of the larger size.
+#: How far a new object stands from the others, as a share of the larger size.
 BESIDE = 0.05
 
 Message = Mapping[str, Any]
@@ -53,63 +53,68 @@ Step = tuple[str, Document]
 # -- Commands, as those of `commands`: from a document and a message to the step's name and the new document
 
 
-def select_thing(document: Document, message: Message) -> Step:
-    """Make a thing the active one, with the first of its edits."""
-    thing = document.thing(message["id"])
-    edits = document.edits_of(thing.id)
-    selection = Selection(edits[0].id if edits else None, document.selection.mode, thing=thing.id)
+def activate_object(document: Document, message: Message) -> Step:
+    """Make an object the active one, with the first of its edits."""
+    scene_object = document.scene_object(message["id"])
+    edits = document.edits_of(scene_object.id)
+    selection = Selection(edits[0].id if edits else None, document.selection.mode, object_id=scene_object.id)
     return "select", dataclasses.replace(document, selection=selection)
 
 
-def change_thing(document: Document, message: Message) -> Step:
-    """Rename a thing, show or hide it, lock it or let it go, or put it elsewhere."""
-    thing, changes = document.thing(message["id"]), {}
+def change_object(document: Document, message: Message) -> Step:
+    """Rename an object, show or hide it, lock it or let it go, or put it elsewhere."""
+    scene_object, changes = document.scene_object(message["id"]), {}
     if "name" in message:
         changes["name"] = checked_name(message["name"])
-        if changes["name"] in [other.name for other in document.things if other.id != thing.id]:
+        if changes["name"] in [other.name for other in document.objects if other.id != scene_object.id]:
             raise InputError(f"there is an object named {changes['name']!r} already: give another name")
     for flag in ("visible", "locked"):
         if flag in message:
             changes[flag] = checked_flag(message[flag], flag)
     if "place" in message:
-        if changes.get("locked", thing.locked):
-            raise locked_error(thing)
+        if changes.get("locked", scene_object.locked):
+            raise locked_error(scene_object)
         changes["place"] = checked_place(message["place"])
     if not changes:
         raise InputError("nothing to change: give a name, visible, locked or a place")
-    return f"{changed_words(changes)} of {thing.name}", document.with_thing(dataclasses.replace(thing, **changes))
+    return f"{changed_names(changes)} of {scene_object.name}", document.with_object(
+        dataclasses.replace(scene_object, **changes)
+    )
 
 
-def copy_thing(document: Document, message: Message) -> Step:
-    """A second thing of the same field, with its edits, poses and keys, moved by an offset."""
-    thing, offset = document.thing(message["id"]), np.array(checked_triple(message.get("offset", (0, 0, 0)), "offset"))
+def copy_object(document: Document, message: Message) -> Step:
+    """A second object of the same field, with its edits, poses and keys, moved by an offset."""
+    scene_object, offset = (
+        document.scene_object(message["id"]),
+        np.array(checked_triple(message.get("offset", (0, 0, 0)), "offset")),
+    )
 
     def moved(place: Place) -> Place:
         return dataclasses.replace(place, position=np.asarray(place.position) + offset)
 
-    document = with_new_thing(document, thing.name, thing.file, moved(thing.place))[1]
-    number = document.selection.thing
+    document = with_new_object(document, scene_object.name, scene_object.file, moved(scene_object.place))[1]
+    number = document.selection.object_id
     numbers, edits = {}, []
-    for edit in document.edits_of(thing.id):
+    for edit in document.edits_of(scene_object.id):
         numbers[edit.id] = document.free_id
-        edits.append(dataclasses.replace(edit, id=document.free_id, thing=number))
+        edits.append(dataclasses.replace(edit, id=document.free_id, object_id=number))
         document = dataclasses.replace(document, next_id=document.next_id + 1)
     keys = []
     for key in document.timeline.keys:
         held = {numbers[old]: pose for old, pose in (key.poses or {}).items() if old in numbers}
         poses = {**(key.poses or {}), **held} or None
         places = key.places
-        if thing.id in key.held_places:
-            places = {**key.held_places, number: moved(key.held_places[thing.id])}
+        if scene_object.id in key.held_places:
+            places = {**key.held_places, number: moved(key.held_places[scene_object.id])}
         keys.append(dataclasses.replace(key, poses=poses, places=places))
-    selection = Selection(edits[0].id if edits else None, document.selection.mode, thing=number)
+    selection = Selection(edits[0].id if edits else None, document.selection.mode, object_id=number)
     document = dataclasses.replace(document, edits=(*document.edits, *edits), selection=selection)
-    return f"copy {thing.name}", document.with_timeline(keys=tuple(keys))
+    return f"copy {scene_object.name}", document.with_timeline(keys=tuple(keys))
 
 
-def remove_thing(document: Document, message: Message) -> Step:
-    """Take a thing out of the scene, with its edits and its part of all keys."""
-    gone = document.thing(message["id"])
+def remove_object(document: Document, message: Message) -> Step:
+    """Take an object out of the scene, with its edits and its part of all keys."""
+    gone = document.scene_object(message["id"])
     if gone.id == MAIN:
         raise InputError(f"{gone.name!r} is the object that this session is kept for: hide it instead")
     if gone.locked:
@@ -121,46 +126,46 @@ def remove_thing(document: Document, message: Message) -> Step:
         places = None if key.places is None else {n: place for n, place in key.places.items() if n != gone.id}
         key = dataclasses.replace(key, poses=poses, places=places or None)
         keys += [] if key.is_empty else [key]
-    things = tuple(thing for thing in document.things if thing.id != gone.id)
-    edits = tuple(edit for edit in document.edits if edit.thing != gone.id)
-    document = dataclasses.replace(document, things=things, edits=edits).with_timeline(keys=tuple(keys))
-    if document.selection.thing == gone.id:
-        document = select_thing(document, {"id": MAIN})[1]
+    objects = tuple(scene_object for scene_object in document.objects if scene_object.id != gone.id)
+    edits = tuple(edit for edit in document.edits if edit.object_id != gone.id)
+    document = dataclasses.replace(document, objects=objects, edits=edits).with_timeline(keys=tuple(keys))
+    if document.selection.object_id == gone.id:
+        document = activate_object(document, {"id": MAIN})[1]
     return f"remove {gone.name}", document
 
 
 COMMANDS: dict[str, Callable[[Document, Message], Step]] = {
-    "thing.select": select_thing,
-    "thing.change": change_thing,
-    "thing.copy": copy_thing,
-    "thing.remove": remove_thing,
+    "object.select": activate_object,
+    "object.change": change_object,
+    "object.copy": copy_object,
+    "object.remove": remove_object,
 }
 
 
-def with_new_thing(document: Document, name: str, file: str | None, place: Place) -> Step:
-    """A document with one more thing, which becomes the active one."""
-    if len(document.things) >= MAX_THINGS:
-        raise InputError(f"a scene takes at most {MAX_THINGS} objects: remove one first")
+def with_new_object(document: Document, name: str, file: str | None, place: Place) -> Step:
+    """A document with one more object, which becomes the active one."""
+    if len(document.objects) >= MAX_OBJECTS:
+        raise InputError(f"a scene takes at most {MAX_OBJECTS} objects: remove one first")
     number = document.free_id
-    name = free_name(checked_name(name), [thing.name for thing in document.things])
-    things = (*document.things, Thing(number, name, file, place))
-    selection = Selection(None, document.selection.mode, thing=number)
-    return f"add {name}", dataclasses.replace(document, things=things, selection=selection, next_id=number + 1)
+    name = free_name(checked_name(name), [scene_object.name for scene_object in document.objects])
+    objects = (*document.objects, SceneObject(number, name, file, place))
+    selection = Selection(None, document.selection.mode, object_id=number)
+    return f"add {name}", dataclasses.replace(document, objects=objects, selection=selection, next_id=number + 1)
 
 
 def with_place(document: Document, number: int, matrix: Any) -> Document:
-    """A document in which a thing is where a similarity (4, 4) takes it; turns go on from the degrees that it has."""
-    thing = document.thing(number)
-    if thing.locked:
-        raise locked_error(thing)
+    """A document in which an object is where a similarity (4, 4) takes it; turns go on from the degrees that it has."""
+    scene_object = document.scene_object(number)
+    if scene_object.locked:
+        raise locked_error(scene_object)
     place = Place.from_matrix(matrix)
-    place = dataclasses.replace(place, turn=near_turn(np.array(place.turn), np.array(thing.place.turn)))
-    return document.with_thing(dataclasses.replace(thing, place=checked_place(dataclasses.asdict(place))))
+    place = dataclasses.replace(place, turn=near_turn(np.array(place.turn), np.array(scene_object.place.turn)))
+    return document.with_object(dataclasses.replace(scene_object, place=checked_place(dataclasses.asdict(place))))
 
 
-def locked_error(thing: Thing) -> InputError:
-    """What is said where a hand is kept from a thing."""
-    return InputError(f"{thing.name!r} is locked: unlock it first")
+def locked_error(scene_object: SceneObject) -> InputError:
+    """What is said where a hand is kept from an object."""
+    return InputError(f"{scene_object.name!r} is locked: unlock it first")
 
 
 # -- Files
@@ -184,16 +189,16 @@ def field_files(folder: pathlib.Path) -> list[str]:
 
 
 def read_fields(document: Document, main: AnyField, folder: pathlib.Path) -> Fields:
-    """The fields of a document's things; folder: of the session, which the names of files are seen from."""
+    """The fields of a document's objects; folder: of the session, which the names of files are seen from."""
     fields = Fields(main)
-    for thing in document.things:
-        if thing.file is not None and thing.file not in fields.files:
-            fields.files[thing.file] = load_thing(folder / thing.file, device=main.device)
+    for scene_object in document.objects:
+        if scene_object.file is not None and scene_object.file not in fields.files:
+            fields.files[scene_object.file] = load_object(folder / scene_object.file, device=main.device)
     return fields
 
 
-def place_beside(document: Document, fields: Fields, field: AnyThing) -> Place:
-    """Where a field stands upright on the ground of all things, beside them."""
+def place_beside(document: Document, fields: Fields, field: AnyObject) -> Place:
+    """Where a field stands upright on the ground of all objects, beside them."""
     up, own = np.asarray(fields.main.up, np.float64), np.asarray(field.up, np.float64)
     matrix = np.eye(4)
     matrix[:3, :3] = _rotation_onto(own / np.linalg.norm(own), up / np.linalg.norm(up))
@@ -227,34 +232,36 @@ def stage_field(path: pathlib.Path) -> pathlib.Path:
     """The file of the first field of a stage file, which a session of the stage is of."""
     file = path.parent / read_stage_file(path)[0]["field"]
     if is_mesh_file(file):
-        raise InputError(f"{path}: its first thing is a mesh, and a session of the editor is of a field: put one first")
+        raise InputError(
+            f"{path}: its first object is a mesh, and a session of the editor is of a field: put one first"
+        )
     return file
 
 
 def with_stage(document: Document, path: pathlib.Path, folder: pathlib.Path) -> Document:
-    """A new document with the things of a stage file, whose first field is the session's own."""
-    things, edits, keys = [], [], list[Key]()
+    """A new document with the objects of a stage file, whose first field is the session's own."""
+    objects, edits, keys = [], [], list[Key]()
     number, settings, loop, length = 1, document.settings, "once", 0.0
     for entry in read_stage_file(path):
         places: PlaceFile = entry["place"]
-        first = not things
-        thing = MAIN if first else number
+        first = not objects
+        scene_object = MAIN if first else number
         number += not first
         file = None if first else pathlib.PurePath(os.path.relpath(path.parent / entry["field"], folder)).as_posix()
-        name = free_name(checked_name(entry["name"]), [other.name for other in things])
+        name = free_name(checked_name(entry["name"]), [other.name for other in objects])
         place = checked_place(dataclasses.asdict(places.at(0.0)))
-        things.append(Thing(thing, name, file, place, not entry.get("hidden", False)))
+        objects.append(SceneObject(scene_object, name, file, place, not entry.get("hidden", False)))
         if places.length > 0.0:
             loop, length = places.loop or loop, max(length, places.length)
             for time, at in places.places.items():
                 easing = places.easings.get(time, "smooth")
-                number += _hold(keys, number, thing, time, at, easing)
+                number += _hold(keys, number, scene_object, time, at, easing)
         if "deformation" in entry:
             options, cages, poses = read_deformation(entry["deformation"])
             given = {name: options[name] for name in ("coordinates", "resolution", "density") if options.get(name)}
             if edits and any(given.get(name) != getattr(settings, name) for name in ("coordinates", "density")):
                 warnings.warn(
-                    f"{path}: {name!r} is posed by other coordinates or densities than the things before it: the "
+                    f"{path}: {name!r} is posed by other coordinates or densities than the objects before it: the "
                     f"editor shows all by {settings.coordinates}",
                     stacklevel=2,
                 )
@@ -262,7 +269,7 @@ def with_stage(document: Document, path: pathlib.Path, folder: pathlib.Path) -> 
                 cells = min(max(given.get("resolution", settings.resolution), RESOLUTIONS[0]), RESOLUTIONS[1])
                 settings = dataclasses.replace(settings, **{**given, "resolution": cells})
             for cage, posed in zip(cages, poses, strict=True):
-                edits.append(_edit(number, thing, cage, posed, len(edits) + 1))
+                edits.append(_edit(number, scene_object, cage, posed, len(edits) + 1))
                 number += 1
     if len(keys) > MAX_KEYS:
         raise InputError(f"{path}: a film has at most {MAX_KEYS} keys, this one would have {len(keys)}")
@@ -273,10 +280,10 @@ def with_stage(document: Document, path: pathlib.Path, folder: pathlib.Path) -> 
         follows_keys=document.timeline.follows_keys and not length,
         loop=loop,
     )
-    selected = next((edit.id for edit in edits if edit.thing == MAIN), None)
+    selected = next((edit.id for edit in edits if edit.object_id == MAIN), None)
     return dataclasses.replace(
         document,
-        things=tuple(things),
+        objects=tuple(objects),
         edits=tuple(edits),
         settings=settings,
         timeline=film,
@@ -285,58 +292,63 @@ def with_stage(document: Document, path: pathlib.Path, folder: pathlib.Path) -> 
     )
 
 
-def _hold(keys: list[Key], number: int, thing: int, time: float, place: Place, easing: Easing) -> bool:
+def _hold(keys: list[Key], number: int, object_id: int, time: float, place: Place, easing: Easing) -> bool:
     """Put a place into the key of its time and easing; whether a new key, of this number, was made for it."""
     for index, key in enumerate(keys):
         if (key.time, key.easing) == (time, easing):
-            keys[index] = dataclasses.replace(key, places={**(key.places or {}), thing: place})
+            keys[index] = dataclasses.replace(key, places={**(key.places or {}), object_id: place})
             return False
-    keys.append(Key(number, time, f"key {len(keys) + 1}", easing, places={thing: place}))
+    keys.append(Key(number, time, f"key {len(keys) + 1}", easing, places={object_id: place}))
     return True
 
 
-def _edit(number: int, thing: int, edit: CageEdit, posed: Cage | None, count: int) -> Edit:
+def _edit(number: int, object_id: int, edit: CageEdit, posed: Cage | None, count: int) -> Edit:
     """An edit of a stage file as documents have it."""
     kind = "remove" if edit.remove else "copy" if edit.keep_source else "move"
     made = new_edit(number, edit.cage, f"{kind.title()} {count}", kind, None if posed is None else posed.vertices)
     walls = {"falloff": edit.falloff, "held": edit.held, "fragments": edit.fragments}
-    return dataclasses.replace(made, thing=thing, **walls)
+    return dataclasses.replace(made, object_id=object_id, **walls)
 
 
 def stage_of(document: Document, fields: Fields, main: pathlib.Path | None, folder: pathlib.Path) -> Stage:
-    """The stage of a document: things, places with their keys, cages and the poses of now.
+    """The stage of a document: objects, places with their keys, cages and the poses of now.
     main: the file of the session's own field; folder: the session's, which other files are seen from."""
     settings = dataclasses.replace(document.settings, mode="pose")
-    shown = tuple(dataclasses.replace(thing, visible=True) for thing in document.things)
+    shown = tuple(dataclasses.replace(scene_object, visible=True) for scene_object in document.objects)
     scene = PosedScene(fields)
-    scene.prepare(dataclasses.replace(document, settings=settings, things=shown))
+    scene.prepare(dataclasses.replace(document, settings=settings, objects=shown))
     keyed, stage = place_files(document), Stage(device=fields.main.device)
-    for thing in document.things:
-        file = main if thing.file is None else folder / thing.file
-        stage.add(thing.name, scene.posed(thing.id), place=keyed.get(thing.id, thing.place), path=file)
-        stage.hide(thing.name, not thing.visible)
+    for scene_object in document.objects:
+        file = main if scene_object.file is None else folder / scene_object.file
+        stage.add(
+            scene_object.name,
+            scene.posed(scene_object.id),
+            place=keyed.get(scene_object.id, scene_object.place),
+            path=file,
+        )
+        stage.hide(scene_object.name, not scene_object.visible)
     return stage
 
 
-def clicked(document: Document, field: AnyThing, click: Any) -> Callable[[], AnyThing | NodeSelection]:
-    """What finds what a cage of the active thing, of this field, goes around: the object at places of a picture, see
+def clicked(document: Document, field: AnyObject, click: Any) -> Callable[[], AnyObject | NodeSelection]:
+    """What finds what a cage of the active object, of this field, goes around: the object at places of a picture, see
     `checked_click`; None is all of it, and a mesh is one object."""
     if click is None or isinstance(field, SurfaceMesh):
         return lambda: field
     places, aspect, plane = checked_click(click)
     found = [clicked_pixel(document.view, across, down, aspect) for across, down in places]
-    seen = seen_from(document.thing(document.selection.thing).place, found[0][1])
+    seen = seen_from(document.scene_object(document.selection.object_id).place, found[0][1])
     return lambda: select_object(field, pixel=[pixel for pixel, _ in found], camera=seen, plane=plane)
 
 
-class ThingTasks:
-    """What pages may do with things that touches files; part of `Tasks`."""
+class ObjectTasks:
+    """What pages may do with objects that touches files; part of `Tasks`."""
 
     def __init__(self, tasks: Tasks):
         self._tasks = tasks
         self.commands: dict[str, Callable[[dict[str, Any]], Any]] = {
-            "thing.files": self._files,
-            "thing.add": self._add,
+            "object.files": self._files,
+            "object.add": self._add,
             "stage.save": self._save,
         }
 
@@ -352,11 +364,11 @@ class ThingTasks:
         fields = session.fields
         added = fields.files.get(path.name)
         if added is None:
-            added = await tasks.read(lambda: load_thing(path, device=session.field.device))
+            added = await tasks.read(lambda: load_object(path, device=session.field.device))
 
         def add(document: Document) -> Step:
             where = place_beside(document, fields, added) if beside else place
-            return with_new_thing(document, name, kept.name, where)
+            return with_new_object(document, name, kept.name, where)
 
         with tasks.uploads.taken(path) as kept:
             fields.files[kept.name] = added
@@ -376,11 +388,11 @@ class ThingTasks:
             stage_of(document, session.fields, session.field_path, tasks.folder).save(path)
 
         await tasks.read(save)
-        return tasks.note_done(path, f"{path.name}: a scene of {counted(len(document.things), 'object')}")
+        return tasks.note_done(path, f"{path.name}: a scene of {counted(len(document.objects), 'object')}")
 
 
 def require_alone(document: Document, what: str) -> None:
-    """Raise ValueError where a scene holds other things, for what goes with a field alone."""
+    """Raise ValueError where a scene holds other objects, for what goes with a field alone."""
     if document.is_staged:
-        names = listed([thing.name for thing in document.things])
+        names = listed([scene_object.name for scene_object in document.objects])
         raise InputError(f"{what} goes with a field in its own place, and this session holds {names}")
