@@ -19,6 +19,8 @@ import time
 
 HERE = pathlib.Path(__file__).resolve().parent
 
+sys.path.insert(0, str(HERE.parent / "tests" / "support"))  # ground truth and makers of files, which tests share
+
 #: What starts a command of the benchmarks in a process of its own.
 BENCHMARKS = [sys.executable, str(HERE)]
 
@@ -69,11 +71,6 @@ def quiet_device(name: str | None):
     from warpcage.core import resolve_device
 
     return resolve_device(name)
-
-
-def add_tests_to_path() -> None:
-    """Let helpers of the tests be imported."""
-    sys.path.insert(0, str(HERE.parent / "tests" / "support"))
 
 
 def pickle_by_value(module: str) -> None:

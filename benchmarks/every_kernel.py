@@ -19,6 +19,8 @@ import numpy as np
 import trimesh
 import warp as wp
 from common import ball_field
+from ground_truth import CarriedMesh, InverseMap, synthetic_scene
+from ground_truth.sample_count import count_samples
 from machine_code import kernel_modules
 
 import warpcage
@@ -27,10 +29,8 @@ from warpcage.core import launch, limit_threads
 from warpcage.field import harmonics_on_device
 from warpcage.fitting.splats import PictureLoss
 from warpcage.kernels.coordinates.green import map_green
-from warpcage.kernels.reference.sample_count import count_samples
 from warpcage.lattice import HarmonicSolver, PoseGraph
 from warpcage.mesh import prepared_fans
-from warpcage.reference import CarriedMesh, InverseMap, synthetic_scene
 from warpcage.splats import SplatDensity
 from warpcage.studio.editor import frame_pixels
 from warpcage.view import RGB_BYTES, camera_array

@@ -26,9 +26,9 @@ import warp as wp
 
 import warpcage
 from warpcage.core.files import atomic_path
+from warpcage.demo.brick_scene import write_brick_scene
+from warpcage.demo.viewpoints import reference_cameras, spread_eyes
 from warpcage.fitting.evaluation import evaluate, mean_psnr
-from warpcage.reference.brick_scene import write_brick_scene
-from warpcage.reference.viewpoints import reference_cameras, spread_eyes
 from warpcage.studio.jobs.run import run_jobs
 from warpcage.studio.jobs.sweeps import GivenSource, RandomSource, write_sweep
 from warpcage.studio.jobs.webdataset import read_shard, shard_path

@@ -19,9 +19,9 @@ import warp as wp
 
 import warpcage
 from warpcage.core.files import atomic_path
-from warpcage.reference.bricks import brick_model
-from warpcage.reference.cage_scenes import CAGE_SCENES, scene_field
-from warpcage.reference.raycast import render_mesh_views
+from warpcage.demo.bricks import brick_model
+from warpcage.demo.cage_scenes import CAGE_SCENES, scene_field
+from warpcage.demo.raycast import render_mesh_views
 from warpcage.view.camera import framing_orbit
 from warpcage.view.overlay import draw_cage
 from warpcage.view.pictures import contact_sheet, to_uint8, write_png

@@ -26,8 +26,8 @@ import warpcage
 from warpcage.core.devices import resolve_device
 from warpcage.core.files import atomic_path
 from warpcage.core.threads import cpu_threads
+from warpcage.demo.brick_scene import write_brick_scene
 from warpcage.fitting.evaluation import evaluate, mean_psnr
-from warpcage.reference.brick_scene import write_brick_scene
 from warpcage.view.camera import framing_orbit
 from warpcage.view.film import write_gif, write_video
 from warpcage.view.motion import pose_weights

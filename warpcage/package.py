@@ -32,6 +32,7 @@ MOVED = {
     "warpcage.field.objects": "warpcage.select.objects",
     "warpcage.field.planes": "warpcage.select.planes",
     "warpcage.field.selection": "warpcage.select.selection",
+    "warpcage.reference": "warpcage.demo",
     "warpcage.films": "warpcage.studio.films",
 }
 

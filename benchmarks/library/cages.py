@@ -10,7 +10,7 @@ from common import JSON, KINDS, command, option, write_results
 
 import warpcage
 from warpcage.cage import check_pose, face_samples, grid_points
-from warpcage.reference import CAGE_SCENES, scene_field
+from warpcage.demo import CAGE_SCENES, scene_field
 from warpcage.select import visible_nodes
 from warpcage.view import contact_sheet, draw_cage, framing_orbit, write_jpeg
 

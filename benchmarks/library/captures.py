@@ -11,9 +11,9 @@ import time
 import numpy as np
 import warp as wp
 from common import DEVICE, JSON, UsageError, command, option, write_results
+from ground_truth import PhonePath, write_phone_video
 
 import warpcage
-from warpcage.reference import PhonePath, write_phone_video
 from warpcage.view import shrink
 
 

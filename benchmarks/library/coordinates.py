@@ -14,7 +14,6 @@ from common import (
     FIELD,
     JSON,
     KINDS,
-    add_tests_to_path,
     command,
     launch_times,
     median_seconds,
@@ -234,7 +233,6 @@ def convergence(args) -> None:
     the order between one resolution and the next, and the difference between two cuts of the reference, below which
     errors mean nothing; then the largest error at points up to the cage.
     """
-    add_tests_to_path()
     import oracles
 
     rows = []

@@ -24,6 +24,8 @@ from common import (
     write_jpeg,
     write_results,
 )
+from ground_truth import CASUAL, KINDS, casual_scene, room_views, synthetic_scene
+from ground_truth.sample_count import count_samples
 from library.split_fit import SplitFit
 
 import warpcage
@@ -31,8 +33,6 @@ from warpcage import FieldOptimizer, evaluate, mean_psnr
 from warpcage.core import launch, resolve_device
 from warpcage.field import STOP_TRANSMITTANCE
 from warpcage.fitting import tuned_scene
-from warpcage.kernels.reference.sample_count import count_samples
-from warpcage.reference import CASUAL, KINDS, casual_scene, room_views, synthetic_scene
 from warpcage.view import contact_sheet, picture_similarity, pose_errors, shrink, side_by_side, write_png
 
 #: Training views that are rendered to see how far a fit goes beyond what it generalizes, and views named as the worst.

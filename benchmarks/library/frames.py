@@ -435,7 +435,7 @@ def table1(args) -> None:
 
 def prepared_field(args, device):
     """The fitted field, its PSNR on test views, and the scene's name."""
-    from warpcage.reference import write_brick_scene
+    from warpcage.demo import write_brick_scene
 
     with tempfile.TemporaryDirectory() as folder:
         size = 48 if args.quick else 400

@@ -10,13 +10,13 @@ import numpy as np
 import trimesh
 import warp as wp
 from common import DEVICE, JSON, KINDS, QUICK, command, option, quiet_device, write_jpeg, write_results
+from ground_truth import CarriedMesh, subdivided_model
 from library.truth import CAGES, POSES, Place, View, cameras, inverted, measure, on_white, pose_cages
 
 import warpcage
 from warpcage import SplatField
 from warpcage.deform import quaternions_of, splat_edits
 from warpcage.kernels.splats.splats import Splats
-from warpcage.reference import CarriedMesh, subdivided_model
 from warpcage.splats import IMAGE_BLUR, binding
 from warpcage.view import average_frame, contact_sheet, finer_camera
 

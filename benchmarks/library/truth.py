@@ -2,7 +2,7 @@
 
 Truth of a pose: a Deformer shows at x what the field holds at phi(x), phi from coordinates of the *deformed* cage. So a
 vertex p of the model belongs where phi(x) = p, which Newton's iteration finds in float64
-(warpcage.reference.inverse_map: closed forms, or boundary elements for harmonic coordinates). Coordinates on the rest
+(ground_truth/inverse_map.py: closed forms, or boundary elements for harmonic coordinates). Coordinates on the rest
 cage applied to the deformed one, the usual way with meshes, are another map.
 
 Light: a captured field holds the light that fell on the object at rest, so the truth carries color, shadows and
@@ -21,11 +21,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import warp as wp
 from common import DEVICE, HERE, JSON, KINDS, QUICK, command, option, quiet_device, write_jpeg, write_results
+from ground_truth import CarriedMesh, InverseMap, subdivided_model
 
 import warpcage
 from warpcage import Scene
 from warpcage.fitting import ssim
-from warpcage.reference import CarriedMesh, InverseMap, subdivided_model
 from warpcage.view import contact_sheet
 
 SCENES = ("bricks", "animal", "chair")
@@ -376,7 +376,7 @@ def prepare(args) -> None:
 
     python benchmarks truth prepare FOLDER
     """
-    from warpcage.reference import write_brick_scene
+    from warpcage.demo import write_brick_scene
 
     folder = args.folder
     write_brick_scene(folder / "scene", train_views=24, test_views=2, size=48, device="cpu")

@@ -11,7 +11,7 @@ import tempfile
 import time
 
 import numpy as np
-from common import JSON, add_tests_to_path, ball_field, command, option, pickle_by_value, write_results, write_twists
+from common import JSON, ball_field, command, option, pickle_by_value, write_results, write_twists
 from pages.pages import batch_scale_text
 
 import warpcage
@@ -220,7 +220,6 @@ def driver_ends(folder: pathlib.Path, count: int) -> dict[str, float]:
 
 def simulated(count: int, workers: int, mean: float, sample: np.ndarray, costs: dict, policy: str) -> dict:
     """A run under the virtual clock."""
-    add_tests_to_path()
     from batch_simulation import Conditions, SimulatedEngine
 
     random = np.random.default_rng(1)

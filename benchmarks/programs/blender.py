@@ -87,11 +87,12 @@ def preview(args) -> None:
     if args.blender_part:
         blender_part(pathlib.Path(args.blender_part))
         return
+    from ground_truth import InverseMap
+
     import warpcage
     from warpcage import deform_points, psnr
     from warpcage.core import resolve_device
     from warpcage.mesh import write_glb
-    from warpcage.reference import InverseMap
     from warpcage.studio.editor import demo_files
     from warpcage.studio.films import read_pose
     from warpcage.view import contact_sheet, read_image, write_png

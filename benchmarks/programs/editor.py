@@ -18,7 +18,7 @@ import tempfile
 import time
 
 import numpy as np
-from common import JSON, UsageError, add_tests_to_path, command, option, quiet_device, write_results
+from common import JSON, UsageError, command, option, quiet_device, write_results
 
 #: Poses per second that a display's hand sends.
 RATE = 60.0
@@ -381,7 +381,6 @@ def pictures(args) -> None:
 
     A scripted mouse poses the excavator's arm as a person would. Each picture has 256 colors and less than 200 kB.
     """
-    add_tests_to_path()
     from editor_browser import Window
     from page_probe import chromium
 

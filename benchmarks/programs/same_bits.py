@@ -17,7 +17,7 @@ from common import HERE, UsageError, command, option
 #: What both trees get, made by the first: a field of two balls, splats of it, cages, poses, cameras.
 INPUTS = """
 import numpy as np, warpcage
-from warpcage.reference import write_brick_scene
+from warpcage.demo import write_brick_scene
 places = np.linspace(-0.975, 0.975, 40)
 x, y, z = np.meshgrid(places, places, places, indexing="ij")
 far = np.minimum(np.hypot(np.hypot(x, y), z - 0.2) - 0.5, np.hypot(np.hypot(x - 0.4, y), z + 0.5) - 0.3)

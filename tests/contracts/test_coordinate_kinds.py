@@ -5,12 +5,12 @@ import inspect
 import numpy as np
 import pytest
 from fields import BOX, shiny_field
+from ground_truth import InverseMap
 from refusals import refused
 from splat_scenes import one_splat
 
 from warpcage import Deformer, PositionMap, SplatDeformer, deform_points
 from warpcage.core import COORDINATES
-from warpcage.reference import InverseMap
 
 POINT = np.zeros((1, 3))
 

@@ -19,7 +19,7 @@ from splat_scenes import splats_in_box
 
 import warpcage
 from warpcage import Cage, Camera, Deformer, VoxelField
-from warpcage.reference import box, brick_model, cylinder, joined, render_mesh_views
+from warpcage.demo import box, brick_model, cylinder, joined, render_mesh_views
 from warpcage.studio.cli import main
 from warpcage.view import read_image
 

@@ -70,7 +70,7 @@ def test_the_library_works_without_the_studio(tmp_path):
         """
         import sys
         import warpcage
-        from warpcage.reference import write_brick_scene
+        from warpcage.demo import write_brick_scene
         write_brick_scene(sys.argv[1], train_views=6, test_views=1, size=24, samples=1, device="cpu")
         scene = warpcage.load_scene(sys.argv[1])
         small = {"resolution": 24, "levels": 1, "epochs": 1, "batch_rays": 256}

@@ -30,7 +30,7 @@ KINDS = {
     "splats/test_splat_hostile field/test_broken",
     "fits and captures": "fitting/ captures/ scene/test_scene_sizes scene/test_ignored",
     "cages": "cage/",
-    "poses and frames": "deform/ render/ view/ lattice/ coordinates/ field/ splats/ mesh/ reference/",
+    "poses and frames": "deform/ render/ view/ lattice/ coordinates/ field/ splats/ mesh/ demo/",
     "all others": "",
 }
 

@@ -335,8 +335,8 @@ FIXED = """
 cage.pose_file: gltf_poses; cage.snap: snap_to_gaps; cage.walls: cut_faces; core.devices: launch resolve_device;
 core.files: atomic_path; core.locks: device_turn; core.names: meant; core.threads: cpu_threads limit_threads;
 select.planes: Plane find_planes; fitting.evaluation: evaluate mean_psnr; mesh: MeshFormat write_shown_mesh;
-reference.brick_scene: write_brick_scene; reference.bricks: brick_model; reference.cage_scenes: CAGE_SCENES scene_field;
-reference.raycast: render_mesh_views; reference.viewpoints: reference_cameras spread_eyes; scene: SceneFormat View
+demo.brick_scene: write_brick_scene; demo.bricks: brick_model; demo.cage_scenes: CAGE_SCENES scene_field;
+demo.raycast: render_mesh_views; demo.viewpoints: reference_cameras spread_eyes; scene: SceneFormat View
 held_out make_scene; splats: SplatContents SplatFormat; studio.cli: main; studio.editor.demo: demo_files;
 studio.jobs.items: EvaluateItem FitItem FrameItem Item; studio.jobs.job_file: JobFile write_jobs; studio.jobs.run:
 run_jobs; studio.jobs.sweeps: GivenSource RandomSource write_sweep; studio.jobs.webdataset: read_shard shard_path;

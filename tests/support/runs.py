@@ -7,7 +7,7 @@ import sys
 import numpy as np
 
 from warpcage import Cage, VoxelField, run_jobs
-from warpcage.reference import write_brick_scene
+from warpcage.demo import write_brick_scene
 from warpcage.studio.cli import main
 from warpcage.studio.jobs import write_jobs
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from warpcage import Camera
-from warpcage.reference import brick_model, render_mesh_views
+from warpcage.demo import brick_model, render_mesh_views
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 

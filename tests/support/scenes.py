@@ -6,10 +6,11 @@ import json
 import pathlib
 
 import numpy as np
+from ground_truth import TEXTURE, CarriedMesh, PhonePath, table_scene
 from scene_writers import Pictures, write_dtu, write_image
 
 from warpcage import Camera, Scene, VoxelField, turntable
-from warpcage.reference import TEXTURE, CarriedMesh, PhonePath, brick_model, render_mesh_views, table_scene
+from warpcage.demo import brick_model, render_mesh_views
 
 #: What a node belongs to.
 EMPTY, FLOOR, TABLE, LAMP, BALL, FRAGMENT = range(6)

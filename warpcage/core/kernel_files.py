@@ -34,6 +34,7 @@ _LONE = "\n\nKernels alone. "  #: behind the title of a README without a call, w
 _FORMER = {  # kernel files by the names that they, or parts of them, had before: this version understands these
     "core/loads": "core/entries",
     "core/shared": "core/warp_memory",
+    "demo/mesh_raycast": "reference/mesh_raycast reference/mesh_distance",
     "edits/bake": "deform/bake",
     "edits/cell_tables": "deform/cells deform/settled_cells",
     "edits/extension": "deform/carry deform/carry_cells deform/falloff",
@@ -52,7 +53,6 @@ _FORMER = {  # kernel files by the names that they, or parts of them, had before
     "lattice/cage_map": "lattice/weights",
     "lattice/gaps": "lattice/narrow_gaps lattice/gap_sides",
     "mesh/triangle": "mesh/walls",
-    "reference/mesh_raycast": "reference/mesh_distance",
     "render/march": "deform/march_single deform/matter_rows",
     "render/march_cpu": "deform/render_cpu deform/cpu_map",
     "render/march_exact": "deform/march",

@@ -11,8 +11,8 @@ from test_cage_generation import shapes, winding
 from warpcage import Cage
 from warpcage.cage import outer_surface, principal_frame
 from warpcage.cage.generate.voxel import made_manifold
+from warpcage.demo import CAGE_SCENES, scene_field
 from warpcage.mesh import MeshTopology
-from warpcage.reference import CAGE_SCENES, scene_field
 from warpcage.select import visible_nodes
 
 SCENES = list(CAGE_SCENES)

@@ -8,7 +8,7 @@ from refusals import refused
 
 from warpcage import Cage, PoseFile
 from warpcage.cage import cage_hash, poses
-from warpcage.reference import scene_field
+from warpcage.demo import scene_field
 
 
 def test_subdivision_keeps_the_surface_and_the_first_vertices():

@@ -15,7 +15,7 @@ import warpcage as coordinates
 from warpcage import Cage, PositionMap
 from warpcage.coordinates import stretched_normals
 from warpcage.core import COORDINATES, memory
-from warpcage.reference import brick_model
+from warpcage.demo import brick_model
 
 CLOSED_FORMS = ["mean_value", "green"]
 

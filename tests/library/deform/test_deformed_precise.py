@@ -4,6 +4,7 @@ import numpy as np
 import oracles
 import pytest
 from fields import make_field, plain, shiny_field, view
+from ground_truth import InverseMap
 
 from warpcage import Cage, Deformer, PositionMap
 from warpcage.core import load_modules, module_block_dim
@@ -11,7 +12,6 @@ from warpcage.kernels.edits import cell_tables as edit_cells
 from warpcage.kernels.field import march as volume_march
 from warpcage.kernels.field.march import image_kernel, record_weights
 from warpcage.kernels.render.views import view_kernel
-from warpcage.reference import InverseMap
 
 
 @pytest.mark.parametrize("kind", ["mean_value", "green"])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from fit_oracles import counted_views, photometric_gradient, training_rays
+from ground_truth import FLOOR, OBJECT_BOX, ROOM_HALF, object_model, room_views
 from refusals import refused
 from scenes import room_cameras
 
@@ -15,7 +16,6 @@ from warpcage.core.devices import lane_count
 from warpcage.field import OuterField
 from warpcage.kernels.field.outer import mark_outer_nodes
 from warpcage.kernels.fitting import outer_loss
-from warpcage.reference import FLOOR, OBJECT_BOX, ROOM_HALF, object_model, room_views
 from warpcage.view import camera_array
 
 HALF = np.array([1.0, 0.7, 1.3])

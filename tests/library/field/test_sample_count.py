@@ -2,10 +2,10 @@
 
 import numpy as np
 import warp as wp
+from ground_truth.sample_count import count_samples
 
 from warpcage import Camera, VoxelField
 from warpcage.core import launch
-from warpcage.kernels.reference.sample_count import count_samples
 from warpcage.view import camera_array
 
 

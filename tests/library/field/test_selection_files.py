@@ -13,7 +13,7 @@ from scenes import BALL, LAMP, TableScene
 
 import warpcage
 from warpcage import NodeSelection, Scene, select_nodes, select_object
-from warpcage.reference import box, cylinder, joined, reference_cameras, render_mesh_views, spread_eyes
+from warpcage.demo import box, cylinder, joined, reference_cameras, render_mesh_views, spread_eyes
 
 
 @pytest.fixture(scope="module")

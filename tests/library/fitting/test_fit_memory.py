@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from fit_oracles import finished, shuffled
+from ground_truth import synthetic_scene
 from messages import MESSAGES
 from refusals import refused
 from scenes import room_scene
@@ -29,7 +30,6 @@ from warpcage.fitting import (
     scaled_shape,
     schedule,
 )
-from warpcage.reference import synthetic_scene
 
 
 @pytest.fixture(scope="module")

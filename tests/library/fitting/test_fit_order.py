@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import warp as wp
 from fit_oracles import shuffled
+from ground_truth import synthetic_scene
 
 from warpcage import FieldOptimizer, fit
 from warpcage.kernels.fitting.batches import shuffled_place
-from warpcage.reference import synthetic_scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

@@ -5,12 +5,12 @@ import functools
 import numpy as np
 import pytest
 import warp as wp
+from ground_truth import KINDS, MODELS, synthetic_scene
 from refusals import refused
 
 from warpcage import Camera, FieldOptimizer, Scene, evaluate, fit, mean_psnr, turntable
 from warpcage.fitting import MAX_SCARCE, RAYS_PER_VOXEL, checked_options, plan_batches, scarcity
 from warpcage.kernels.fitting.rmsprop import shrink_view_dependence
-from warpcage.reference import KINDS, MODELS, synthetic_scene
 
 SMALL = {"progress": False, "least_steps": 120, "batch_rays": 1024}
 

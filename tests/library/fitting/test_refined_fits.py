@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 from fit_oracles import poses_of
+from ground_truth import synthetic_scene
 from messages import MESSAGES
 from refusals import refused
 from scenes import blob_scene
@@ -15,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 import warpcage
 from warpcage import CameraFile, FieldOptimizer, evaluate, mean_psnr
+from warpcage.demo import write_brick_scene
 from warpcage.fitting import CameraRefinement, load_progress, save_progress, tuned_scene
 from warpcage.fitting import cameras as cameras_module
-from warpcage.reference import synthetic_scene, write_brick_scene
 from warpcage.studio.cli import main
 from warpcage.view import picture_similarity
 

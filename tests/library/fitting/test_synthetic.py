@@ -8,9 +8,9 @@ import scipy.sparse
 import scipy.sparse.csgraph
 from refusals import refused
 
-import warpcage.reference.brick_scene as synthetic
+import warpcage.demo.brick_scene as synthetic
 from warpcage import Camera, load_scene
-from warpcage.reference import brick_model, render_mesh_views, write_brick_scene
+from warpcage.demo import brick_model, render_mesh_views, write_brick_scene
 from warpcage.view import read_image
 
 BOX_VERTICES = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float) * (0.5, 0.3, 0.4)

@@ -7,7 +7,7 @@ import pytest
 from runs import run, succeed
 
 from warpcage import Camera
-from warpcage.reference import write_brick_scene
+from warpcage.demo import write_brick_scene
 from warpcage.scene import draw_coverage, find_coverage
 from warpcage.view import axis_rotation, read_image
 

@@ -30,9 +30,9 @@ from splat_scenes import ring, scene_of, true_field
 
 import warpcage
 from warpcage import evaluate, mean_psnr
+from warpcage.demo import brick_model, render_mesh_views
 from warpcage.fitting import tuned_scene
 from warpcage.fitting.splats import SplatFit
-from warpcage.reference import brick_model, render_mesh_views
 from warpcage.scene.pictures import flight_bytes
 from warpcage.scene.sizes import View
 from warpcage.studio.cli import main

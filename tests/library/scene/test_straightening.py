@@ -9,7 +9,7 @@ import trimesh
 from runs import run, succeed
 
 from warpcage import Cage, Scene, VoxelField, evaluate, load_scene, mean_psnr, turntable
-from warpcage.reference import write_brick_scene
+from warpcage.demo import write_brick_scene
 from warpcage.view import axis_rotation, read_image
 
 #: How the world lies: up is about that of the DTU pictures.

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 import warp as wp
 from fields import BOX, make_field, psnr, shiny_field, view
+from ground_truth import synthetic_scene
 
 import warpcage
 from warpcage.core import launch
 from warpcage.field import PACKED_WORDS, ColumnTable, harmonics_on_host, row_table, shaded_grid, tables
 from warpcage.kernels.field.densities import lay_densities
-from warpcage.reference import synthetic_scene
 
 #: A camera among the voxels, one beside the field, one that looks at all of it.
 EYES = {"within": (0.3, 0.2, 0.4), "beside": (1.6, 0.5, 0.3), "away": (3.0, 1.6, 1.8)}

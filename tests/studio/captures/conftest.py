@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from ground_truth import write_phone_video
 from made import made_once
 from scenes import table_pictures
 
 from warpcage import Camera
-from warpcage.reference import write_phone_video
 
 
 def kept(path, cameras, **arrays):

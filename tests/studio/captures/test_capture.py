@@ -5,13 +5,13 @@ import json
 
 import numpy as np
 import pytest
+from ground_truth import PhonePath, write_phone_video
 from PIL import Image
 from scenes import camera_errors, found_poses, relative_errors, save_pictures, similarity
 from test_capture_video import turn_video
 
 import warpcage
 from warpcage.mesh import read_ply
-from warpcage.reference import PhonePath, write_phone_video
 from warpcage.studio.captures import scan_video
 
 pytest.importorskip("pycolmap", minversion="4.2")

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from ground_truth import TEXTURE, CarriedMesh
 from PIL import Image
 from refusals import refused
 from scenes import camera_errors, found_poses, save_pictures
@@ -11,7 +12,6 @@ from test_capture_video import moving_pictures, write_video
 
 import warpcage
 from warpcage import Cage, Camera
-from warpcage.reference import TEXTURE, CarriedMesh
 from warpcage.studio.captures import FrameScores, pick_frames, still_features
 from warpcage.studio.captures.feature_masks import masks_of, write_feature_masks
 from warpcage.studio.captures.sources import read_sources

@@ -11,7 +11,7 @@ from scenes import TableScene
 from splat_scenes import splats_in_box
 
 import warpcage
-from warpcage.reference import write_brick_scene
+from warpcage.demo import write_brick_scene
 from warpcage.studio.cli import main
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]

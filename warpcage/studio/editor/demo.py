@@ -11,8 +11,8 @@ import warp as wp
 
 from ...cage.cage import Cage
 from ...core.files import atomic_path
+from ...demo.brick_scene import write_brick_scene
 from ...fitting.fit import fit
-from ...reference.brick_scene import write_brick_scene
 from ...scene.load import load_scene
 
 #: Pictures and pixels of their sides that the demo is fitted to, and vertices of its cage.

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from ground_truth import CarriedMesh, chair_model, subdivided_model
 from refusals import refused
 
 from warpcage import Camera
-from warpcage.reference import CarriedMesh, chair_model, render_mesh_views, subdivided_model
+from warpcage.demo import render_mesh_views
 
 EYE = np.array([1.8, -1.6, 1.1])
 

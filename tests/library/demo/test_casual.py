@@ -5,10 +5,10 @@ import functools
 
 import numpy as np
 import pytest
+from ground_truth import CASUAL, casual_scene, casual_views
 from refusals import refused
 
 from warpcage import Camera
-from warpcage.reference import CASUAL, casual_scene, casual_views
 
 SMALL = {"views": 12, "aside": 2, "size": 32, "samples": 1}
 

@@ -13,7 +13,7 @@
 
 import warp as wp
 
-from ..core.gradients import forward_only_in
+from warpcage.kernels.core.gradients import forward_only_in
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

@@ -7,13 +7,14 @@ import dataclasses
 import numpy as np
 import warp as wp
 
-from ..errors import InputError
-from ..scene.scene import Scene
-from ..view.camera import Camera
-from .bricks import Model, merged
+from warpcage.demo.bricks import Model, merged
+from warpcage.demo.raycast import render_mesh_views
+from warpcage.demo.viewpoints import orbit_eyes, reference_cameras, require_counts, spread_eyes
+from warpcage.errors import InputError
+from warpcage.scene.scene import Scene
+from warpcage.view.camera import Camera
+
 from .models import MODELS
-from .raycast import render_mesh_views
-from .viewpoints import orbit_eyes, reference_cameras, require_counts, spread_eyes
 
 Vector = tuple[float, float, float]
 

@@ -8,13 +8,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..coordinates.coordinates import deform_points, stretched_normals
-from ..core.devices import launch, resolve_device
-from ..core.names import POINT_COORDINATES, chosen, require_coordinates
-from ..kernels.reference.inverse_map import ExactMap, assemble_layers, invert_map, map_exactly
-from ..mesh.match import require_same_faces
-from ..mesh.mesh import ClosedMesh
-from ..mesh.validity import require_usable
+from warpcage.coordinates.coordinates import deform_points, stretched_normals
+from warpcage.core.devices import launch, resolve_device
+from warpcage.core.names import POINT_COORDINATES, chosen, require_coordinates
+from warpcage.mesh.match import require_same_faces
+from warpcage.mesh.mesh import ClosedMesh
+from warpcage.mesh.validity import require_usable
+
+from .inverse_map_kernels import ExactMap, assemble_layers, invert_map, map_exactly
 
 #: Newton's iteration ends at this distance, as a share of the cage's size.
 TOLERANCE = 1e-11

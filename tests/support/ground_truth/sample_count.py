@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from ..field.grid import (
+from warpcage.kernels.field.grid import (
     VoxelGrid,
     cell_density,
     cell_sample,
@@ -12,7 +12,7 @@ from ..field.grid import (
     sample_distance,
     sample_place,
 )
-from ..view.rays import PinholeCamera, pixel_direction, strided_pixel
+from warpcage.kernels.view.rays import PinholeCamera, pixel_direction, strided_pixel
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError
-from .bricks import Model, Part, ball, box, brick_model, centered, cylinder, joined
+from warpcage.demo.bricks import Model, Part, ball, box, brick_model, centered, cylinder, joined
+from warpcage.errors import InputError
 
 #: Cells along the longest side of the box in which its surface is found.
 ANIMAL_CELLS = 110

@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..errors import InputError
-from ..scene.parsing import HOLD_OUT
-from ..scene.scene import Scene
-from ..view.camera import Camera
-from .bricks import Color, Model, Part, ball, box, cylinder, joined, merged
+from warpcage.demo.bricks import Color, Model, Part, ball, box, cylinder, joined, merged
+from warpcage.demo.viewpoints import require_counts
+from warpcage.errors import InputError
+from warpcage.scene.parsing import HOLD_OUT
+from warpcage.scene.scene import Scene
+from warpcage.view.camera import Camera
+
+from .carried_mesh import CarriedMesh
 from .models import MODELS
 from .phone_video import LONG_EXPOSURES, TEXTURE, PhonePath, table_scene, take_picture
-from .raycast import CarriedMesh
 from .scenes import LIGHTS, mixed_colors, painted_box, painted_plane, planks, smooth_noise, wood
-from .viewpoints import require_counts
 
 #: Heights of what objects stand on, and of ceilings.
 GROUND, TABLE_TOP, CEILING = -1.0, -0.85, 3.0

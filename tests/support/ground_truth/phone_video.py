@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import warp as wp
 
-from ..errors import InputError
-from ..view.camera import Camera
-from ..view.film import write_video
-from .bricks import Model, Part, ball, box, brick_model, joined, merged
-from .raycast import CarriedMesh
+from warpcage.demo.bricks import Model, Part, ball, box, brick_model, joined, merged
+from warpcage.errors import InputError
+from warpcage.view.camera import Camera
+from warpcage.view.film import write_video
+
+from .carried_mesh import CarriedMesh
 
 #: Half side of the table, height of its top, and half side of the room around it, world units.
 TABLE, TOP, ROOM = 3.0, -1.0, 7.0

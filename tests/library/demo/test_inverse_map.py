@@ -3,10 +3,10 @@
 import numpy as np
 import oracles
 import pytest
+from ground_truth import InverseMap
 from refusals import refused
 
 from warpcage import Cage, Deformer
-from warpcage.reference import InverseMap
 
 
 def cages():

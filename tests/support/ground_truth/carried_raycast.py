@@ -8,8 +8,8 @@
 
 import warp as wp
 
-from ..view.rays import PinholeCamera
-from .mesh_raycast import MeshLighting, sample_direction, shaded_color
+from warpcage.kernels.demo.mesh_raycast import MeshLighting, sample_direction, shaded_color
+from warpcage.kernels.view.rays import PinholeCamera
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 TEXTURE_SEED = wp.constant(7)
