@@ -20,14 +20,14 @@ from common import HERE, UsageError
 FOLDERS = ("library", "programs", "pages")
 
 
-def main(words: list[str]) -> int | None:
+def main(arguments: list[str]) -> int | None:
     """Run a command; its exit status."""
     paths = (path for folder in FOLDERS for path in sorted((HERE / folder).glob("*.py")))
     suites = {path.stem.replace("_", "-"): path for path in paths if "\n@command(" in path.read_text(encoding="utf-8")}
-    if not words or words[0] not in suites:
+    if not arguments or arguments[0] not in suites:
         lines = [f"  {name:16} {first_line(path)}" for name, path in suites.items()]
-        return listed(words, [__doc__.strip(), "", *lines])
-    path = suites[words[0]]
+        return listed(arguments, [__doc__.strip(), "", *lines])
+    path = suites[arguments[0]]
     module = importlib.import_module(f"{path.parent.name}.{path.stem}")
     found = {
         name.replace("_", "-"): function
@@ -35,27 +35,27 @@ def main(words: list[str]) -> int | None:
         if hasattr(function, "options") and function.__module__ == module.__name__
     }
     named = list(found) != ["main"]
-    if named and (len(words) < 2 or words[1] not in found):
+    if named and (len(arguments) < 2 or arguments[1] not in found):
         lines = [f"  {name:16} {function.__doc__.splitlines()[0]}" for name, function in found.items()]
-        return listed(words[1:], [f"python benchmarks {words[0]} COMMAND [options]", "", *lines])
-    function = found[words[1] if named else "main"]
+        return listed(arguments[1:], [f"python benchmarks {arguments[0]} COMMAND [options]", "", *lines])
+    function = found[arguments[1] if named else "main"]
     parser = argparse.ArgumentParser(
-        prog=" ".join(["python benchmarks", *words[: 1 + named]]),
+        prog=" ".join(["python benchmarks", *arguments[: 1 + named]]),
         description=inspect.getdoc(function),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     for names, more in function.options:
         parser.add_argument(*names, **more)
     try:
-        return function(parser.parse_args(words[1 + named :]))
+        return function(parser.parse_args(arguments[1 + named :]))
     except UsageError as error:
         parser.error(str(error))
 
 
-def listed(words: list[str], lines: list[str]) -> int:
+def listed(arguments: list[str], lines: list[str]) -> int:
     """Say what there is; 2 where something else was asked for."""
     print("\n".join(lines))
-    return 0 if not words or words[0] in ("-h", "--help") else 2
+    return 0 if not arguments or arguments[0] in ("-h", "--help") else 2
 
 
 def first_line(path: pathlib.Path) -> str:

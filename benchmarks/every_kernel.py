@@ -25,7 +25,7 @@ from machine_code import kernel_modules
 
 import warpcage
 from warpcage import FieldOptimizer, PositionMap
-from warpcage.core import launch, limit_threads
+from warpcage.core import COORDINATES, launch, limit_threads
 from warpcage.field import harmonics_on_device
 from warpcage.fitting.splats import PictureLoss
 from warpcage.kernels.coordinates.green import map_green
@@ -42,8 +42,8 @@ CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add
             "mesh.shell.", "mesh.collapses.", "splats.composite_cpu.", "splats.pose.carry_bound"}  # fmt: skip
 CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows",
              "field.densities.lay_densities", "field.refine.widen_rows",
-             "field.occupancy.spread_distance", "field.shades.",
-             "field.march.rows.", "field.march.shades.", "render.views.rows", "render.views.shades",
+             "field.occupancy.spread_distance", "field.colors.",
+             "field.march.rows.", "field.march.shaded.", "render.views.rows", "render.views.shaded",
              "render.shading.", "edits.fine_cells.", "edits.inverse.", "core.texels.",
              "edits.nodes.", "view.tile_order.",
              "fitting.splat_step.check_room", "fitting.splat_loss.find_slopes_of_tiles",
@@ -164,7 +164,7 @@ def coordinates(device) -> None:
     warpcage.mean_value_coordinates(points, CAGE)
     warpcage.green_coordinates(points, CAGE)
     warpcage.harmonic_coordinates(POINTS, CAGE, resolution=12, device=device)
-    for kind in ("harmonic", "mean_value", "green"):
+    for kind in COORDINATES:
         warpcage.deform_points(points, CAGE, POSE, coordinates=kind)
         for resolution in (12, 160 if kind == "harmonic" else 24):  # the finer is solved on several levels
             position_map = PositionMap(CAGE, coordinates=kind, resolution=resolution, device=device)
@@ -188,7 +188,7 @@ def slotted(width: float) -> warpcage.Cage:
 def frames(device) -> None:
     """Deformed frames of each kind and store, precise ones, several rays per pixel, and moved points."""
     field = ball_field(device)
-    for kind in ("harmonic", "mean_value", "green"):
+    for kind in COORDINATES:
         for options in ({"resolution": 12}, {"resolution": 12, "store": "weights"}, {"resolution": None}):
             if kind == "harmonic" and options["resolution"] is None:
                 continue
@@ -199,7 +199,7 @@ def frames(device) -> None:
     asked = warpcage.SampledField(field.sample, field.bounds, step=0.1, device=device)
     warpcage.Deformer(asked, CAGE, resolution=12, device=device).pose(POSE).render(camera())
     warpcage.Deformer(field, slotted(0.5), resolution=16, device=device).pose(slotted(0.03)).render(camera())
-    for rest, pose in ((CAGE, POSE), (slotted(0.5), slotted(0.03))):  # cells so wide that their parts are told apart
+    for rest, pose in ((CAGE, POSE), (slotted(0.5), slotted(0.03))):  # cells so wide that their parts are distinguished
         warpcage.Deformer(field, rest, resolution=8, device=device).pose(pose).render(camera())
 
 
@@ -289,7 +289,7 @@ def posed_splats(device) -> None:
     rng = np.random.default_rng(1)
     values = rng.uniform(-5, -1.5, (96, 3)), rng.normal(size=(96, 4)), rng.normal(size=96), rng.normal(size=(96, 4, 3))
     field = warpcage.SplatField(rng.uniform(-1.5, 1.5, (96, 3)), *values, device=device)
-    for kind in ("harmonic", "mean_value", "green"):
+    for kind in COORDINATES:
         options = {"coordinates": kind, "resolution": 12, "device": device}
         for map in ("forward", "backward"):
             warpcage.Deformer(field, CAGE, map=map, **options).pose(POSE).baked()

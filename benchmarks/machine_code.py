@@ -36,7 +36,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tree", default=str(pathlib.Path(__file__).resolve().parents[1]), help="the checkout")
     parser.add_argument("--arch", type=int, default=90)
-    parser.add_argument("--only", nargs="*", default=(), help="kernel files whose names hold one of these words")
+    parser.add_argument("--only", nargs="*", default=(), help="kernel files whose names contain one of these strings")
     parser.add_argument("--out", help="JSON file")
     parser.add_argument("--compare", nargs=2, metavar=("BEFORE", "NOW"), help="two such files")
     args = parser.parse_args()

@@ -63,7 +63,8 @@ FAULTS = [
     Fault("splat-antialias", "kernels/splats/project.py",
           "opacity *= wp.sqrt(sharp / blurred)", "opacity *= sharp / blurred", "splats"),
     Fault("mask-light", "kernels/view/compose.py",
-          "mask[name, n] += light * masks[name, object, n]", "mask[name, n] += masks[name, object, n]", "deform view"),
+          "mask[name, n] += light * masks[name, nearest_object, n]", "mask[name, n] += masks[name, nearest_object, n]",
+          "deform view"),
     Fault("exposure-offset", "kernels/fitting/loss.py",
           "+ rgba[3] * rays.exposures[view, 1]", "+ rays.exposures[view, 1]", "fitting"),
     Fault("moment-decay", "kernels/fitting/rmsprop.py",
@@ -113,7 +114,7 @@ FAULTS = [
           "elsewhere = True", "jobs"),
     Fault("half-line", "warpcage/studio/jobs/manifest.py",
           "    if not line.endswith(b\"\\n\"):\n        return None\n", "", "jobs"),
-    Fault("lost-lock", "warpcage/core/locks.py",
+    Fault("lost-lock", "warpcage/core/threads.py",
           "return threading.RLock() if device.is_cpu else _device_lock(device)",
           "return contextlib.nullcontext() if device.is_cpu else _device_lock(device)", "contracts"),
     # the editor's page

@@ -8,9 +8,8 @@ Each benchmark is a separate process. Its JSON file and its output go to --out (
 status is 1 if one of them fails. Quick ones go over the cores of a machine: first what makes the scene, then all
 others, then pages of their results; --all adds those that take longer, as they run at night. The full ones go over the
 GPUs of a machine, one process a GPU at a time, the most important first; what would not end within --seconds is left
-out and named. Left out of --quick are `blender`, which needs Blender, `servers`, which needs servers that warpcage does
-not use, `editor pictures`, which makes the pictures of the README, `pages select`, which needs the fox's pictures, and
-those whose figures mean nothing at a small size (`fits profile` and `fits split`: CUDA events).
+out and named. Left out of --quick are `blender`, which needs Blender, `editor pictures`, which makes pictures of docs,
+`pages select`, which needs the fox's pictures, and `fits profile`, whose figures mean nothing at a small size.
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ from collections.abc import Sequence
 
 from common import BENCHMARKS, HERE
 
-#: Name of a quick run -> its words, at a size for a CPU; "prepare" makes the scene that some of them need. Those that
-#: take longest come first, so that none of them is left alone at the end.
+#: Name of a quick run -> its arguments, at a size for a CPU; "prepare" makes the scene that some of them need. Those
+#: that take longest come first, so that none of them is left alone at the end.
 QUICK = {
     "prepare": "truth prepare {out}",
     "compile": "compile.py --device cpu --warm-runs 1 --json {out}/compile.json",
@@ -107,7 +106,7 @@ def main() -> int:
         out = pathlib.Path(args.out or temporary).resolve()
         out.mkdir(parents=True, exist_ok=True)
         if args.quick:
-            runs = [Run(name, words_of(words, out)) for name, words in QUICK.items() if args.all or name not in LONG]
+            runs = [Run(name, arguments_of(line, out)) for name, line in QUICK.items() if args.all or name not in LONG]
         else:
             runs = full_runs(args.scenes.resolve(), args.cage and pathlib.Path(args.cage).resolve(), out)
         runs = [run for run in runs if not args.only or run.name in args.only]
@@ -127,10 +126,10 @@ def stage(run: Run) -> int:
     return 0 if run.name == "prepare" else 2 if run.name.startswith("page_") else 1
 
 
-def words_of(words: str, out: pathlib.Path) -> list[str]:
-    """The words of a quick run, with its folders."""
+def arguments_of(line: str, out: pathlib.Path) -> list[str]:
+    """The arguments of a quick run, with its folders."""
     of = f"--field {out}/field.npz --cage {out}/cage.obj"
-    given = shlex.split(words.format(out=out, scene=out / "scene", of=of, tree=HERE.parent))
+    given = shlex.split(line.format(out=out, scene=out / "scene", of=of, tree=HERE.parent))
     if given[0].endswith(".py"):
         return [sys.executable, str(HERE / given[0]), *given[1:]]
     return [*BENCHMARKS, *given]
@@ -142,7 +141,7 @@ class Run:
 
     Args:
         name: Of the run.
-        command: Its words.
+        command: Its arguments.
         seconds: After which it is ended. It is not begun where less time is left.
         gpus: How many it sees. Those that see several run alone.
     """
@@ -196,8 +195,8 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
     # frames: of a field that a fit of its own makes
     field = out / "lego.npz"
     if lego.exists() and cage is not None:
-        words = ["-m", "warpcage", "fit", str(lego), "-o", str(field), "--device", "cuda:0", "--quiet"]
-        made = " ".join([sys.executable, *words])
+        arguments = ["-m", "warpcage", "fit", str(lego), "-o", str(field), "--device", "cuda:0", "--quiet"]
+        made = " ".join([sys.executable, *arguments])
         frames = f"{' '.join(BENCHMARKS)} frames times --field {field} --cage {cage} --profile"
         wide = f"{frames} --size 1920 1080 --json {out / 'frames_1080p.json'}"
         runs.append(Run("frames", ["bash", "-c", f"{made} && {frames} --json {out / 'frames.json'} && {wide}"], 180))
@@ -212,9 +211,8 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
         runs.append(Run("edit_fox", [*edit, "--out", str(out / "fox"), "--device", "cuda:0"], 180))
     # two GPUs
     if lego.exists() and cage is not None:  # of the field that "frames" made
-        words = ("--field", field, "--cage", cage, "--scene", lego, "--json", out / "batch_gpus.json")
-        add("batch_gpus", "batch gpus", 420, *words, gpus=2)
-    add("fits_split", "fits split", 120, "--data", lego, "--json", out / "fit_split.json", needs=(lego,), gpus=2)
+        arguments = ("--field", field, "--cage", cage, "--scene", lego, "--json", out / "batch_gpus.json")
+        add("batch_gpus", "batch gpus", 420, *arguments, gpus=2)
     # the rest
     for name, command, seconds in (
         ("coordinates", "coordinates times", 120),
@@ -224,8 +222,8 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
     ):
         files = ("--json", out / f"{name}.json", *(("--figures", out) if name == "ground_truth" else ()))
         add(name, command, seconds, "--device", "cuda:0", *files)
-    words = [str(HERE / "compile.py"), "--device", "cuda:0", "--json", str(out / "compile.json")]
-    runs.append(Run("compile", [sys.executable, *words], 200))
+    arguments = [str(HERE / "compile.py"), "--device", "cuda:0", "--json", str(out / "compile.json")]
+    runs.append(Run("compile", [sys.executable, *arguments], 200))
     add("films", "memory films", 400, "--json", out / "film_memory.json")
     if cage is not None:
         figure = ("--figure", out / "table1.jpg")

@@ -5,7 +5,7 @@
 # Seen: frames are turned to YCbCr by BT.601 all the same and labelled BT.709: red (200, 40, 40) comes back as (213,
 #   55, 37)
 # Meets: who writes rendered frames to mp4 by PyAV: every player that heeds the label shifts reds and greens
-# Here: frames are converted by reformat(dst_colorspace=...) and labelled alike (`warpcage/view/film.py`).
+# Here: frames are converted by reformat(dst_colorspace=...) and labelled alike (`warpcage/studio/films/video.py`).
 set -eu
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -80,16 +80,16 @@ def main(args) -> int:
 
 def revision_of(checkout: pathlib.Path) -> str:
     """The tag of a checkout, or its commit; its folder's name where it is none of git."""
-    words = ["git", "-C", str(checkout), "describe", "--tags", "--always"]
-    return subprocess.run(words, capture_output=True, text=True).stdout.strip() or checkout.resolve().name
+    arguments = ["git", "-C", str(checkout), "describe", "--tags", "--always"]
+    return subprocess.run(arguments, capture_output=True, text=True).stdout.strip() or checkout.resolve().name
 
 
 def started(checkout: pathlib.Path, args):
     """A process that renders with a checkout."""
     options = ["--field", args.field, "--cage", args.cage, "--size", str(args.size)]
-    words = [*BENCHMARKS, "by-turns", "--worker", *options, "--resolution", str(args.resolution)]
+    arguments = [*BENCHMARKS, "by-turns", "--worker", *options, "--resolution", str(args.resolution)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(checkout), os.environ.get("PYTHONPATH", "")])}
-    return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+    return subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
 
 
 def ask(worker, question: str):

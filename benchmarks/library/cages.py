@@ -1,4 +1,4 @@
-"""Cages: generated ones, how tight, how even and how dear they are; and random poses, how far they stretch."""
+"""Cages: generated ones, how tight and even they are, and their times; random poses, how far they stretch."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def usual_cages() -> dict:
 
 
 def poses_row(rest, args) -> dict:
-    """What is told of the poses of one cage."""
+    """The statistics of the poses of one cage."""
     source = warpcage.RandomPoses(rest, seed=args.seed, stretch=args.stretch)
     begin = time.perf_counter()
     poses = [source.pose(number) for number in range(args.count)]

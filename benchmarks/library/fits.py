@@ -26,7 +26,6 @@ from common import (
 )
 from ground_truth import CASUAL, KINDS, casual_scene, room_views, synthetic_scene
 from ground_truth.sample_count import count_samples
-from library.split_fit import SplitFit
 
 import warpcage
 from warpcage import FieldOptimizer, evaluate, mean_psnr
@@ -95,7 +94,7 @@ def scenes(args) -> None:
     --folder whatever masks it has. An option `background` is for whole pictures, and left out for those with opacity.
 
     --made adds casual captures that the project makes itself. Every eighth view of the walk is held out, as it was
-    taken, and so are views from where nobody was, named "aside": their PSNR stands apart ("psnr_aside").
+    taken, and so are views away from the path, named "aside": their PSNR stands apart ("psnr_aside").
 
     --pose-noise turns each training camera about a random axis by a normal angle of so many degrees; --jpeg packs the
     training pictures as JPEG of that quality first. Held-out views stay as they are. With --refine-cameras there are
@@ -229,7 +228,7 @@ def frame_milliseconds(field, cameras, device) -> float:
 
 
 def inside(rows: list[dict]) -> float | None:
-    """Mean PSNR of the object's pixels, where the views tell which those are."""
+    """Mean PSNR of the object's pixels, where alpha or masks separate them."""
     return float(np.mean([row["masked_psnr"] for row in rows])) if "masked_psnr" in rows[0] else None
 
 
@@ -532,61 +531,3 @@ def profile(args) -> None:
                 print(f"  {milliseconds:9.3f}  {name}")
         else:
             optimizer.step()
-
-
-# One fit over two GPUs
-
-
-@command(
-    DATA,
-    DOWNSCALE,
-    option("--quality", nargs="+", default=["standard"], choices=QUALITIES),
-    option("--devices", nargs=2, default=["cuda:0", "cuda:1"]),
-    option("--ways", nargs="+", default=["warp", "nccl"], choices=["warp", "nccl"]),
-    FIT_OPTIONS,
-    JSON,
-)
-def split(args) -> None:
-    """One fit over two GPUs: each takes half of the rays of a batch, gradients are summed, both take the same step.
-
-        python benchmarks fits split --data ../shared/data/lego_800 --quality standard high --json fit_split.json
-        python benchmarks fits split --data SCENE --devices cpu cpu --option resolution=32 --ways warp
-
-    Gradients go from GPU to GPU by copies of Warp (each sums half of the numbers, then hands the sums over) or by NCCL
-    (`torch.cuda.nccl.all_reduce`), where torch is there. Both devices hold the whole field and the same numbers to the
-    bit, as a + b is b + a. Beside seconds and PSNR stand the milliseconds that an exchange takes, alone and with
-    nothing to wait for, at the last level: what a step would have to save before two GPUs pay.
-    """
-    options = fit_options(args.option)
-    scene = warpcage.load_scene(args.data, downscale=args.downscale)
-    views = warpcage.load_scene(args.data, split="test", downscale=args.downscale)
-    for device in args.devices:  # compiles the kernels
-        FieldOptimizer(scene, device=device, **{"quality": "fast", **options}).step()
-    rows = []
-    for quality in args.quality:
-        for way in ["", *args.ways]:
-            devices = args.devices if way else args.devices[:1]
-            begin = time.perf_counter()
-            fit = SplitFit(scene, devices, way, quality=quality, **options)
-            while not fit.done:
-                fit.step()
-            wp.synchronize()
-            seconds = time.perf_counter() - begin
-            same = fit.same
-            exchange = fit.exchange_milliseconds() if way else 0.0
-            field = fit.optimizers[0].finish()
-            row = {
-                "quality": quality,
-                "way": way or "one device",
-                "seconds": seconds,
-                "psnr": mean_psnr(evaluate(field, views)),
-                "exchange_ms": exchange,
-                "gradient_megabytes": fit.gradient_bytes / 1e6,
-                "steps": fit.optimizers[0].step_count,
-                "same": same,
-            }
-            print(row, flush=True)
-            rows.append(row)
-            del fit, field
-    if args.json:
-        write_results(args.json, args.devices[0], rows=rows)

@@ -176,7 +176,7 @@ def pose_and_frame(deformer, cage, camera) -> float:
 
 
 def random_times(deformer, cages, camera):
-    """Median seconds of random poses and their frames, and what else is told of them."""
+    """Median seconds of random poses and their frames, and their other statistics."""
     for cage in cages[:3]:
         deformer.pose(cage).render(camera)
     taken = [pose_and_frame(deformer, cage, camera) for cage in cages]
@@ -285,8 +285,8 @@ def many(args) -> None:
         (["canonical", "instance", "flow"], {"flow_pose": other}),
     ):
         call = lambda wanted=outputs, aim=aim: deformer.render(cameras, outputs=wanted, **aim)  # noqa: E731
-        words = f"cameras, with {', '.join(outputs)}{' to another pose' if 'flow_pose' in aim else ''}"
-        report(words, len(cameras), np.median(seconds_by_turns([call], device, runs=args.runs)[0]))
+        label = f"cameras, with {', '.join(outputs)}{' to another pose' if 'flow_pose' in aim else ''}"
+        report(label, len(cameras), np.median(seconds_by_turns([call], device, runs=args.runs)[0]))
         if "flow_pose" in aim:
             frames = call()
             seen = np.isfinite(frames.depth)

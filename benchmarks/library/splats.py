@@ -143,7 +143,7 @@ def times_by_turns(actions, device, runs: int) -> dict[str, list[float]]:
 
 # gsplat (Ye et al. 2024) as a peer: the forward kernels of its wheel, built with nvcc for the torch that is there. Of
 # the sources only those of forward views of 3D Gaussians are compiled, for three channels, with gsplat's own options.
-# Covariances are handed over, so that both renderers project the same splats.
+# Covariances are passed on, so that both renderers project the same splats.
 
 
 SOURCES = (

@@ -1,4 +1,4 @@
-"""Pages of docs, of the results that lie in docs/results: nobody writes into them by hand.
+"""Pages of docs, of the results that lie in docs/results: none is edited manually.
 
 Texts are in the .md files beside this one, in pieces that follow their names.
 """
@@ -272,7 +272,7 @@ READY, RANDOM, FIRST, LOOP = (
 )
 THREE_SLABS = "frame, three slabs, lattices ready"
 
-#: Angle and number of poses that `frames times` takes unless it is told another.
+#: Angle and number of poses that `frames times` takes by default.
 BEND, POSE_COUNT = 45.0, 40
 
 
@@ -401,20 +401,20 @@ def run_example(args) -> None:
     from warpcage.core import resolve_device
     from warpcage.view import read_image
 
-    words = shlex.split(args.words)
+    arguments = shlex.split(args.words)
     spec = importlib.util.spec_from_file_location("edit_fox", HERE.parent / "examples" / "edit_fox.py")
     assert spec is not None and spec.loader is not None
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
     device = resolve_device(args.device)
     with tempfile.TemporaryDirectory() as out:
-        figures = example.main(["--data", args.data, "--out", out, "--device", str(device), *words])
+        figures = example.main(["--data", args.data, "--out", out, "--device", str(device), *arguments])
         for name in ("chosen", "edit"):
             picture = read_image(pathlib.Path(out) / f"{name}.png")
             write_jpeg(pathlib.Path(args.figures) / f"select_{name}.jpg", picture[..., :3], quality=90)
     del figures["device"]  # the machine's is written
-    words = [os.path.basename(word) if os.path.isabs(word) else word for word in words]
-    write_results(args.json, device, words=words, **figures)
+    arguments = [os.path.basename(each) if os.path.isabs(each) else each for each in arguments]
+    write_results(args.json, device, words=arguments, **figures)
 
 
 # Batches

@@ -27,8 +27,8 @@ RENAMED = {
 def texts(page: str) -> dict[str, str]:
     """The pieces of a page's text by the names before them."""
     text = pathlib.Path(__file__).with_name(f"{page}.md").read_text(encoding="utf-8")
-    words = re.split(r"<!-- (.*) -->\n", text)
-    return {name: piece.strip("\n") + "\n" for name, piece in zip(words[1::2], words[2::2], strict=True)}
+    pieces = re.split(r"<!-- (.*) -->\n", text)
+    return {name: piece.strip("\n") + "\n" for name, piece in zip(pieces[1::2], pieces[2::2], strict=True)}
 
 
 def filled(text: str, **values) -> str:

@@ -29,7 +29,7 @@ from warpcage.studio.jobs import write_jobs
 #: Seconds between two looks at the GPUs.
 LOOK = 0.5
 
-#: Of so many items a steady rate is told.
+#: From so many items on a steady rate is reported.
 MANY = 100
 
 #: What frames are written as, and all that is timed.
@@ -135,9 +135,9 @@ def median_rows(rows: list[dict], digits: int | None = 3) -> list[dict]:
 
 def start_steps(args: argparse.Namespace) -> dict[str, float]:
     """The seconds of each step before the first frame, in a process of their own."""
-    words = [*BENCHMARKS, "batch-start", "--field", args.field, "--cage", args.cage, "--size", str(args.size)]
-    words += ["--workers", str(max(args.workers)), *(["--device", args.device] if args.device else [])]
-    done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
+    arguments = [*BENCHMARKS, "batch-start", "--field", args.field, "--cage", args.cage, "--size", str(args.size)]
+    arguments += ["--workers", str(max(args.workers)), *(["--device", args.device] if args.device else [])]
+    done = subprocess.run(arguments, stdout=subprocess.PIPE, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
@@ -182,9 +182,9 @@ def timed(path: pathlib.Path, out: pathlib.Path, workers: int, device: str | Non
     """Run a job into a new folder, in a process of its own; what it took."""
     shutil.rmtree(out, ignore_errors=True)
     called = time.time()
-    words = [sys.executable, "-m", "warpcage", "run", str(path), "-o", str(out), "--workers", str(workers), "--quiet"]
+    run = [sys.executable, "-m", "warpcage", "run", str(path), "-o", str(out), "--workers", str(workers), "--quiet"]
     with Busy() as busy:
-        subprocess.run([*words, *(["--device", device] if device else [])], stdout=subprocess.DEVNULL, check=True)
+        subprocess.run([*run, *(["--device", device] if device else [])], stdout=subprocess.DEVNULL, check=True)
     seconds = time.time() - called
     begin, course = course_of(out / "manifest.jsonl")
     end = begin + course["items"] / course["rate"]
@@ -238,14 +238,14 @@ class Busy:
             self._thread.join()
 
     def share(self, begin: float, end: float) -> list[float] | None:
-        """Of each GPU, between two times (seconds since 1970); None where nobody looked."""
+        """Of each GPU, between two times (seconds since 1970); None where none was sampled."""
         looks = [shares for at, shares in self._looks if begin <= at <= end]
         return np.mean(looks, axis=0).round(3).tolist() if looks else None
 
     def _look(self) -> None:
-        words = ["nvidia-smi", "--query-gpu=utilization.gpu", "--format=csv,noheader,nounits"]
+        arguments = ["nvidia-smi", "--query-gpu=utilization.gpu", "--format=csv,noheader,nounits"]
         while not self._end.wait(LOOK):
-            seen = subprocess.run(words, capture_output=True, text=True)
+            seen = subprocess.run(arguments, capture_output=True, text=True)
             if seen.returncode == 0:
                 self._looks.append((time.time(), [float(line) / 100 for line in seen.stdout.split()]))
 
@@ -256,7 +256,7 @@ class Busy:
 @command(
     option("--items", type=int, default=2000),
     option("--workers", type=int, nargs="+", default=[1, 2]),
-    option("--turns", type=int, default=3, help="how often all is timed, by turns; medians are told"),
+    option("--turns", type=int, default=3, help="how often all is timed, by turns; medians are reported"),
     option("--load", type=float, default=0.45),
     option("--make", type=float, default=0.0066),
     option("--write", type=float, default=0.03),
@@ -292,7 +292,7 @@ def handing_out(args) -> None:
 
 
 def waiting_job(folder: pathlib.Path, args: argparse.Namespace) -> pathlib.Path:
-    """Items that name a large file. It holds nothing: nobody but the hash reads it."""
+    """Items that name a large file. It holds nothing: only the hash reads it."""
     with open(folder / "field.npz", "wb") as file:
         file.truncate(int(args.megabytes * 2**20))
     (folder / "cage.obj").write_text("v 0 0 0\n")
@@ -408,8 +408,8 @@ def one_kill(path: pathlib.Path, victim: str, when: int) -> dict:
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
     try:
         nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
-        words = [sys.executable, "-c", DRIVER, *map(str, (here, path, out, cluster.address))]
-        driver = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        arguments = [sys.executable, "-c", DRIVER, *map(str, (here, path, out, cluster.address))]
+        driver = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         while len(log.read_text().splitlines()) < when and driver.poll() is None:
             time.sleep(0.002)
         killed = cluster.head_node if victim == "head" else nodes[when % 2]

@@ -115,7 +115,7 @@ class Nothing:
 
 
 def write_tiny(path: pathlib.Path, count: int) -> None:
-    """A job file of frames with the words that a sweep writes."""
+    """A job file of frames with the keys that a sweep writes."""
     camera = {"fx": 80.0, "fy": 80.0, "cx": 32.0, "cy": 32.0, "width": 64, "height": 64}
     camera["camera_to_world"] = np.eye(4).tolist()
     with open(path, "w", encoding="utf-8") as file:

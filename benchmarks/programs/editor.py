@@ -20,7 +20,7 @@ import time
 import numpy as np
 from common import JSON, UsageError, command, option, quiet_device, write_results
 
-#: Poses per second that a display's hand sends.
+#: Poses per second that a drag sends.
 RATE = 60.0
 
 #: Seconds that the editor may take to end: a second, if its disk answers.
@@ -57,12 +57,12 @@ def drags(args) -> None:
     """The editor: from a drag to its picture, and pictures per second while dragging.
 
         python benchmarks editor drags --field lego.npz --cage cage.obj --device cuda:0 --json editor.json
-        python benchmarks editor drags --browser --json editor.json             (Chromium, the demo, as a hand has it)
+        python benchmarks editor drags --browser --json editor.json             (Chromium, the demo, by a real pointer)
 
     Without --browser a WebSocket client moves the cage at the rate of a display and decodes each JPEG, in a process of
     its own. A pose's latency is the time from sending it until the picture of that very pose is decoded; "arrival" is
     until its bytes are there, and "or newer" counts the poses too that a newer one overtook, until the picture of that
-    one. "sharp" is from a single pose that is let go of at once to its sharp picture. With --browser the hand is a
+    one. "sharp" is from a single pose that is let go of at once to its sharp picture. With --browser the pointer is a
     mouse in headless Chromium, and the page measures: from the pointer's event until the picture is drawn. Settings are
     those of a new session but for --coordinates and --resolution. The memory of a GPU is what all programs on it take
     more than before, so nothing else should run there.
@@ -93,21 +93,21 @@ def editor(args: argparse.Namespace):
     """The address and the number of a process in which an editor runs."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = pathlib.Path(temporary)
-        words = [sys.executable, "-X", "faulthandler", "-m", "warpcage", "edit", "--no-browser", "--port", "0"]
-        words += ["--device", args.device] if args.device else []
+        arguments = [sys.executable, "-X", "faulthandler", "-m", "warpcage", "edit", "--no-browser", "--port", "0"]
+        arguments += ["--device", args.device] if args.device else []
         if args.field is None:
             from warpcage.core import resolve_device
             from warpcage.studio.editor import demo_files
 
             field = demo_files(resolve_device(args.device))[0]
-            words += ["--demo", "--session", str(folder / "demo.session.json")]
+            arguments += ["--demo", "--session", str(folder / "demo.session.json")]
         else:
             field = pathlib.Path(args.field)
             shutil.copy(field, folder / "field.npz")
-            words += [str(folder / "field.npz"), "--cage", args.cage]
+            arguments += [str(folder / "field.npz"), "--cage", args.cage]
         for number in range(2, args.objects + 1):
             shutil.copy(field, folder / f"object{number}.npz")
-        server = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        server = subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True)
         try:
             assert server.stdout is not None
             address = ""
@@ -119,7 +119,7 @@ def editor(args: argparse.Namespace):
             asyncio.run(add_objects(url, args.objects))
             yield url, server.pid
         finally:
-            server.terminate()  # a shell's background jobs, and what they start, do not hear Ctrl-C
+            server.terminate()  # a shell's background jobs, and what they start, do not get Ctrl-C
             require_end(server)
 
 
@@ -138,20 +138,20 @@ async def add_objects(url: str, count: int) -> None:
     import aiohttp
 
     async with aiohttp.ClientSession() as http, http.ws_connect(url + "socket", max_msg_size=0) as socket:
-        words = [{"do": "object.add", "file": f"object{number}.npz", "beside": True} for number in range(2, count + 1)]
-        for number, message in enumerate([*words, {"do": "object.select", "id": 0}]):
+        added = [{"do": "object.add", "file": f"object{number}.npz", "beside": True} for number in range(2, count + 1)]
+        for number, message in enumerate([*added, {"do": "object.select", "id": 0}]):
             await socket.send_str(json.dumps({**message, "n": number}))
             while True:
-                heard = await socket.receive()
-                reply = json.loads(heard.data) if heard.type == aiohttp.WSMsgType.TEXT else {}
+                received = await socket.receive()
+                reply = json.loads(received.data) if received.type == aiohttp.WSMsgType.TEXT else {}
                 if reply.get("n") == number:
                     break
             if "error" in reply:
                 raise SystemExit(reply["error"])
 
 
-class Hand:
-    """Poses of a cage that a hand could make: each vertex swings smoothly, and all of them differently.
+class DragMotion:
+    """Poses of a cage that a drag could make: each vertex swings smoothly, and all of them differently.
 
     Args:
         rest: (v, 3) the cage at rest.
@@ -185,18 +185,18 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
         async def say(**message) -> None:
             await socket.send_str(json.dumps(message))
 
-        async def hear() -> None:
+        async def receive_pictures() -> None:
             async for message in socket:
                 if message.type != aiohttp.WSMsgType.BINARY:
                     continue
                 arrived = time.perf_counter()
-                kind, words, jpeg, _ = struct.unpack_from("<4I", message.data)
+                kind, header_bytes, jpeg, _ = struct.unpack_from("<4I", message.data)
                 if kind != 10:
                     continue
-                header = json.loads(message.data[16 : 16 + words])
+                header = json.loads(message.data[16 : 16 + header_bytes])
                 if header["error"]:
                     raise RuntimeError(header["error"])
-                begin = 16 + words + (-words) % 8
+                begin = 16 + header_bytes + (-header_bytes) % 8
                 simplejpeg.decode_jpeg(message.data[begin : begin + jpeg])
                 shown.append((arrived, time.perf_counter(), header["applied"].get(me, 0), header))
                 await say(do="seen", frame=header["frame"])
@@ -204,8 +204,8 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
         settings = {"coordinates": args.coordinates}
         settings |= {} if args.resolution is None else {"resolution": args.resolution}
         await say(do="settings", **settings)
-        hand, vertices = Hand(np.array(edit["rest"])), len(edit["rest"])
-        listening = asyncio.create_task(hear())
+        motion, vertices = DragMotion(np.array(edit["rest"])), len(edit["rest"])
+        listening = asyncio.create_task(receive_pictures())
         await say(do="size", width=args.size[0], height=args.size[1])
         while not shown:
             await asyncio.sleep(0.01)
@@ -216,10 +216,10 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
         finish = {name: value for name, value in begin.items() if name != "label"} | {"do": f"{kind}.end"}
 
         async def pose(count: int) -> float:
-            posed, when = hand.at(count / RATE), time.perf_counter()
+            posed, when = motion.at(count / RATE), time.perf_counter()
             if args.places:
                 place = np.eye(4)
-                place[:3, 3] = (posed - hand.rest).mean(axis=0)
+                place[:3, 3] = (posed - motion.rest).mean(axis=0)
                 await say(do="place.set", object=0, matrix=place.tolist(), seq=count)
             else:
                 header = struct.pack("<4I", 2, count, edit["id"], vertices)

@@ -25,7 +25,7 @@ LINE, DOT = 16, 2
 )
 def main(args: argparse.Namespace) -> None:
     """One picture of everything in a folder that warpcage reads, with names: what is turned, mirrored, washed out or
-    empty is seen at a glance.
+    empty stands out.
 
         python benchmarks files ../shared/data --out files.png
 
@@ -37,7 +37,7 @@ def main(args: argparse.Namespace) -> None:
 
     panels = []
     for path in given_files(args.folder):
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
                 drawn = pictures_of(path, args.side, args.device)
@@ -46,7 +46,7 @@ def main(args: argparse.Namespace) -> None:
                 continue
         for name, picture in drawn.items():
             panels.append(labelled(picture, f"{path.relative_to(args.folder)} {name}".strip(), args.side))
-        print(path, *(f"  {each.message}" for each in told), sep="\n")
+        print(path, *(f"  {each.message}" for each in caught), sep="\n")
     write_png(args.out, contact_sheet(panels, columns=args.columns, background=0.5))
     print(f"{args.out}: {len(panels)} pictures")
 

@@ -18,7 +18,7 @@ import warp as wp
 from common import GROWTH, JSON, ball_field, command, option, resident, write_results, write_twists
 
 import warpcage
-import warpcage.view.film as film
+import warpcage.studio.films.video as film
 from warpcage import PoseFile
 from warpcage.core import BackgroundWriter, overlap, stream
 from warpcage.studio.jobs import ProcessEngine, run, write_jobs
@@ -441,7 +441,7 @@ def batch(args) -> int:
 
 
 class Seen(ProcessEngine):
-    """The engine, which tells the processes of its workers."""
+    """The engine, which exposes the processes of its workers."""
 
     newest: Seen
 
@@ -456,9 +456,9 @@ def write_job(folder: pathlib.Path, count: int) -> pathlib.Path:
     for name, segments in (("coarse", 1), ("fine", 2)):
         cage = warpcage.Cage.box((-1, -1, -1), (1, 1, 1), segments=segments)
         write_twists(folder, name, cage, count // 2 + 1)
-    words = [{"cage": "coarse.obj", "coordinates": "harmonic"}, {"cage": "fine.obj", "coordinates": "mean_value"}]
+    edits = [{"cage": "coarse.obj", "coordinates": "harmonic"}, {"cage": "fine.obj", "coordinates": "mean_value"}]
     items = [
-        {"id": f"f{k:06d}", "posed": f"{words[k % 2]['cage'][:-4]}.npy#{k // 2}"} | words[k % 2] for k in range(count)
+        {"id": f"f{k:06d}", "posed": f"{edits[k % 2]['cage'][:-4]}.npy#{k // 2}"} | edits[k % 2] for k in range(count)
     ]
     write_jobs(folder / "jobs.jsonl", items, defaults={"field": "ball.npz", "camera": CAMERA, "resolution": 12})
     return folder / "jobs.jsonl"

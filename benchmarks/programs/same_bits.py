@@ -16,8 +16,8 @@ from common import HERE, UsageError, command, option
 
 #: What both trees get, made by the first: a field of two balls, splats of it, cages, poses, cameras.
 INPUTS = """
-import numpy as np, warpcage
-from warpcage.demo import write_brick_scene
+import importlib.util, numpy as np, warpcage
+demo = importlib.import_module("warpcage.demo" if importlib.util.find_spec("warpcage.demo") else "warpcage.reference")
 places = np.linspace(-0.975, 0.975, 40)
 x, y, z = np.meshgrid(places, places, places, indexing="ij")
 far = np.minimum(np.hypot(np.hypot(x, y), z - 0.2) - 0.5, np.hypot(np.hypot(x - 0.4, y), z + 0.5) - 0.3)
@@ -28,7 +28,7 @@ sh[..., 2, 0] = 0.3
 field = warpcage.VoxelField.from_dense(density, sh, [[-1, -1, -1], [1, 1, 1]], device="cpu")
 field.save("balls.npz")
 warpcage.to_splats(field, most=1500).save("balls.ply")
-write_brick_scene("scene", train_views=8, test_views=1, size=24, device="cpu")
+demo.write_brick_scene("scene", train_views=8, test_views=1, size=24, device="cpu")
 cage = warpcage.Cage.box([-0.7, -0.7, -0.95], [0.8, 0.7, 0.8], segments=3)
 cage.save("cage.obj")
 np.save("poses.npy", np.stack([np.asarray(cage.vertices) * (1, 1, 1 + 0.1 * k) for k in range(4)]))
@@ -129,7 +129,7 @@ fit scene -o fitted.ply --steps 30 --most-splats 300
 evaluate fitted.npz scene --json fitted.json --split train --worst fitted_worst.png
 """
 
-#: A job file by hand, with an item of each kind.
+#: A job file with an item of each kind.
 JOBS = [
     {
         "format": "warpcage jobs",
@@ -179,7 +179,7 @@ pathlib.Path(sys.argv[2]).write_text(json.dumps(ended))
 
 @command(
     option("other", type=pathlib.Path, help="checkout of another commit, such as one of `git worktree add`"),
-    option("--only", nargs="*", default=[], help="commands that begin with one of these words"),
+    option("--only", nargs="*", default=[], help="commands that begin with one of these names"),
     option("--keep", type=pathlib.Path, help="folder for what both make (default: a temporary one)"),
 )
 def main(args: argparse.Namespace) -> int:
@@ -189,7 +189,7 @@ def main(args: argparse.Namespace) -> int:
         python benchmarks same-bits ../before
 
     On the CPU, with one number of threads. Files are compared by their bytes, NumPy archives by their arrays; what runs
-    note of their time (manifests, logs) is left out. A command that only one of the two refuses is told of too.
+    note of their time (manifests, logs) is left out. A command that only one of the two refuses is reported too.
     """
     if not (args.other / "warpcage" / "__init__.py").is_file():
         raise UsageError(f"{args.other} is no checkout of warpcage")
@@ -202,22 +202,27 @@ def main(args: argparse.Namespace) -> int:
             for name, tree in (("other", args.other), ("this", HERE.parent))
         }
         found = {name: contents(path) for name, path in made.items()}
-    told = [
+    differences = [
         f"{line}: ends with {ended['other'][line]}, here {ended['this'][line]}"
         for line in lines
         if ended["other"][line][0] != ended["this"][line][0]
     ]
     both = sorted(set(found["other"]) & set(found["this"]))
-    told += [f"{name}: not there any more" for name in sorted(set(found["other"]) - set(both))]
-    told += [f"{name}: not there before" for name in sorted(set(found["this"]) - set(both))]
-    told += [f"{name}: differs" for name in both if found["other"][name] != found["this"][name]]
+    differences += [f"{name}: not there any more" for name in sorted(set(found["other"]) - set(both))]
+    differences += [f"{name}: not there before" for name in sorted(set(found["this"]) - set(both))]
+    differences += [f"{name}: differs" for name in both if found["other"][name] != found["this"][name]]
     refused = [line for line in lines if ended["this"][line][0]]
     print(
-        "\n".join([*told, f"{len(lines)} commands, {len(refused)} refused; {len(both)} files, {len(told)} differences"])
+        "\n".join(
+            [
+                *differences,
+                f"{len(lines)} commands, {len(refused)} refused; {len(both)} files, {len(differences)} differences",
+            ]
+        )
     )
     for line in refused:
         print(f"refused: {line}: {ended['this'][line][1].strip()}")
-    return 1 if told or refused else 0
+    return 1 if differences or refused else 0
 
 
 def run_in(tree: pathlib.Path, folder: pathlib.Path, lines: list[str]) -> dict[str, list]:
@@ -225,8 +230,8 @@ def run_in(tree: pathlib.Path, folder: pathlib.Path, lines: list[str]) -> dict[s
     folder.mkdir(parents=True)
     environment = {**os.environ, "PYTHONPATH": str(tree), "CUDA_VISIBLE_DEVICES": ""}
 
-    def run(*words: str) -> None:
-        subprocess.run([sys.executable, *words], cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL)
+    def run(*arguments: str) -> None:
+        subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL)
 
     run("-c", INPUTS)
     run("-c", EXPORTS)

@@ -1,10 +1,11 @@
 """What the site is made of: the pages of the repository at their own places, so that their links hold, and a page of
-reference for each room, with every public name."""
+reference for each package, with every public name."""
 
 from __future__ import annotations
 
 import ast
 import pathlib
+import re
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -33,23 +34,29 @@ def reference() -> dict[str, str]:
     """The pages of reference by their paths."""
     pages: dict[str, str] = {}
     for name, module in sorted(public_names().items(), key=lambda each: (each[1].partition(".")[0], each[0].lower())):
-        room = module.partition(".")[0]
-        pages.setdefault(f"reference/{room}.md", f"# {room}\n")
-        pages[f"reference/{room}.md"] += f"\n::: warpcage.{module}.{name}\n"
+        package = module.partition(".")[0]
+        pages.setdefault(f"reference/{package}.md", f"# {package}\n")
+        pages[f"reference/{package}.md"] += f"\n::: warpcage.{module}.{name}\n"
+    return pages
+
+
+def parts() -> dict[str, list[str]]:
+    """The pages of each part of `docs/README.md`, in its order: the first link of each row."""
+    pages: dict[str, list[str]] = {}
+    for part in (ROOT / "docs" / "README.md").read_text(encoding="utf-8").split("\n## ")[1:]:
+        links = re.findall(r"^\| \[\w+\]\((.*?)\)", part, re.MULTILINE)
+        paths = ((ROOT / "docs" / link).resolve() for link in links)
+        pages[part.partition("\n")[0]] = [path.relative_to(ROOT).as_posix() for path in paths]
     return pages
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Reference, results and changelog in the navigation."""
-    there = {path for group in config.nav or () for pages in group.values() for path in pages}
-    results = [f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))]
+    """The parts of docs, with the reference of all names, in the navigation."""
     notes = [f"benchmarks/{path.name}" for path in sorted((ROOT / "benchmarks").glob("*.md"))]
-    config.nav = [
-        *(config.nav or ()),
-        {"Reference": list(reference())},
-        {"Results": [path for path in (*results, *notes) if path not in there]},
-        {"Changelog": ["CHANGELOG.md"]},
-    ]
+    groups = parts()
+    groups["Reference"] = [*reference(), *groups["Reference"]]
+    groups |= {"Notes": notes, "Changelog": ["CHANGELOG.md"]}
+    config.nav = [*(config.nav or ()), *({name: pages} for name, pages in groups.items())]
     return config
 
 
