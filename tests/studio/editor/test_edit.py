@@ -4,6 +4,7 @@ import asyncio
 import errno
 import os
 import pathlib
+import signal
 import sys
 import threading
 
@@ -13,6 +14,7 @@ from messages import MESSAGES
 
 aiohttp = pytest.importorskip("aiohttp")
 
+from editor_browser import until
 from editor_pages import BOX, new_session, pages, served, tiny_field
 
 from warpcage import Cage, edit
@@ -65,24 +67,24 @@ def test_an_editor_saves_when_it_is_closed_and_goes_on_later(tmp_path):
 def test_an_address_stays_while_nobody_else_can_read_it(tmp_path):
     tiny_field().save(tmp_path / "ball.npz")
 
-    def word(**options):
+    def token(**options):
         with edit(tmp_path / "ball.npz", **options) as editor:
             return editor.url.split("/")[3]
 
-    first, secret = word(), tmp_path / ".ball.session.secret"
-    assert word() == first == secret.read_text()
-    others = word(session=tmp_path / "other.session.json")
+    first, secret = token(), tmp_path / ".ball.session.secret"
+    assert token() == first == secret.read_text()
+    others = token(session=tmp_path / "other.session.json")
     assert others != first
-    assert word(host="0.0.0.0") != first and word() == first  # where other machines may ask it is new each time
+    assert token(host="0.0.0.0") != first and token() == first  # where other machines may ask it is new each time
     if os.name == "posix":
         secret.chmod(0o644)
-        second = word()
-        assert second != first and word() == second and secret.stat().st_mode & 0o777 == 0o600
+        second = token()
+        assert second != first and token() == second and secret.stat().st_mode & 0o777 == 0o600
         secret.rename(tmp_path / "elsewhere")
         secret.symlink_to(tmp_path / "elsewhere")
-        assert word() != second and not secret.is_symlink()
+        assert token() != second and not secret.is_symlink()
     secret.write_text("short")
-    assert len(word()) == 32
+    assert len(token()) == 32
 
 
 def test_an_editor_that_could_not_save_says_so(tmp_path, monkeypatch):
@@ -122,8 +124,8 @@ def test_what_an_editor_cannot_open_is_one_line_and_leaves_no_thread(tmp_path):
         ({"field": 7}, "VoxelField"),
         ({"field": tmp_path}, "not there|is no|npz|is a folder"),
     ]
-    for options, words in wrong:
-        with pytest.raises((ValueError, OSError), match=words):
+    for options, message in wrong:
+        with pytest.raises((ValueError, OSError), match=message):
             edit(**{"field": tiny_field(), **options})
     names = [thread.name for thread in threading.enumerate() if thread.name.startswith(("warpcage-", "warpcage "))]
     assert names == [] and threading.active_count() <= before + 2
@@ -147,3 +149,42 @@ def test_many_editors_one_after_another_leave_nothing(tmp_path):
         asyncio.run(test())
     assert threading.active_count() <= threads and len(os.listdir("/proc/self/fd")) <= files + 1
     assert Session is type(new_session()) and new_document(tiny_field()).edits == ()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="no SIGUSR1 to send")
+def test_an_interrupt_inside_a_destructor_ends_the_waiting():
+    """What is raised in a destructor is lost."""
+
+    class Freed:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    def interrupt(number, frame):
+        item = Freed()
+        del item
+
+    def is_default():
+        return signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+    def interrupt_the_waiting():
+        try:
+            until(lambda: not is_default(), "the editor waits")
+            os.kill(os.getpid(), signal.SIGUSR1)
+            until(is_default, "the waiting has ended")
+        finally:
+            editor.close()
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGUSR1)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGUSR1, interrupt)
+    thread = threading.Thread(target=interrupt_the_waiting)
+    try:
+        with edit(tiny_field(), BOX) as editor:
+            thread.start()
+            with pytest.raises(KeyboardInterrupt):
+                editor.wait()
+            assert is_default()
+    finally:
+        thread.join()
+        for number, handler in before.items():
+            signal.signal(number, handler)

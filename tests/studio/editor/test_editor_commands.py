@@ -436,7 +436,7 @@ def test_what_is_no_json_is_refused(text):
 
 
 def test_an_error_is_one_line_without_folders():
-    full = OSError(28, "No space left on device", "/somebody/secret/lego.session.json")
+    full = OSError(28, "No space left on device", "/user/secret/lego.session.json")
     assert re.fullmatch(MESSAGES["core.no_space_for_file"], error_line(full, folders=False))
     assert error_line(KeyError("edit")) == "'edit' is missing"
     assert error_line(MemoryError()) == "not enough memory" and error_line(ValueError("a\n b")) == "a b"

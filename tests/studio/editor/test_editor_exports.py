@@ -145,7 +145,7 @@ def test_a_deformer_is_made_anew_only_for_what_it_is_made_of(field, monkeypatch)
     edit = now.edits[0]
     now = now.with_edit(dataclasses.replace(edit, posed=frozen_vertices(TWISTED.vertices), name="other"))
     assert counts(now) == (0, 1)
-    assert counts(now, 8) == (1, 1) and counts(now) == counts(now, 8) == (0, 0)  # one for the hand, one at rest
+    assert counts(now, 8) == (1, 1) and counts(now) == counts(now, 8) == (0, 0)  # one for drags, one at rest
     assert counts(now, 12) == (1, 1) and counts(now) == (1, 1)  # but no more of them
     for changed in (
         {"edits": (dataclasses.replace(now.edits[0], kind="copy"),)},
@@ -176,15 +176,15 @@ def test_a_cage_that_cannot_be_used_leaves_the_scene_before(field, part):
 
 
 def test_frames_are_those_of_deformers_at_their_times(field, tmp_path):
-    shown, told = moving(), []
-    assert export_film(shown, field, tmp_path / "frames", TINY, lambda share, text: told.append((share, text))) == 4
+    shown, reports = moving(), []
+    assert export_film(shown, field, tmp_path / "frames", TINY, lambda share, text: reports.append((share, text))) == 4
     deformer = Deformer(field, BOX, coordinates="mean_value", resolution=16)
     pictures = pictures_of(tmp_path / "frames")
     for time, picture in zip(frame_times(shown.timeline), pictures, strict=True):
         poses, view = state_at(shown, time)
         frame = deformer.pose(BOX.with_vertices(poses[1])).render(view_camera(view, 40, 30), supersampling=1)
         np.testing.assert_array_equal(picture, np.round(np.clip(frame.rgb, 0, 1) * 255).astype(np.uint8))
-    assert told == [(k / 4, f"frame {k + 1} of 4") for k in range(4)] + [(1.0, "finishes the file")]
+    assert reports == [(k / 4, f"frame {k + 1} of 4") for k in range(4)] + [(1.0, "finishes the file")]
     assert not np.array_equal(pictures[0], pictures[-1])
 
 
@@ -210,10 +210,10 @@ def test_the_mode_of_the_session_does_not_change_its_film_and_still_moments_are_
 
 
 def test_pictures_are_made_when_they_are_asked_for(field):
-    told = []
-    pictures = film_pictures(moving(length=1000.0), field, TINY, lambda share, text: told.append(text))
+    reports = []
+    pictures = film_pictures(moving(length=1000.0), field, TINY, lambda share, text: reports.append(text))
     assert len(list(itertools.islice(pictures, 2))) == 2
-    assert told == ["frame 1 of 6001", "frame 2 of 6001"]
+    assert reports == ["frame 1 of 6001", "frame 2 of 6001"]
 
 
 @pytest.mark.parametrize("overlay", [False, True])
@@ -315,16 +315,16 @@ def test_poses_are_written(tmp_path):
 
 
 def test_a_baked_field_looks_like_the_posed_scene(field, tmp_path):
-    told = []
+    reports = []
     at_rest = dataclasses.replace(document(), settings=dataclasses.replace(SMALL, mode="rest"))
-    export_baked(at_rest, field, tmp_path / "baked.npz", lambda share, text: told.append(share))
+    export_baked(at_rest, field, tmp_path / "baked.npz", lambda share, text: reports.append(share))
     scene, looking = PosedScene(field), view_camera(VIEW, 40, 30)
     scene.prepare(document())
     baked = VoxelField.load(tmp_path / "baked.npz", device=field.device)
     shown = scene.render(looking).rgb
     wrong, at_rest_wrong = (np.abs(other.render(looking).rgb - shown).mean() for other in (baked, field))
     assert wrong < 0.25 * at_rest_wrong
-    assert told == sorted(told, key=lambda share: share or 0.0)
+    assert reports == sorted(reports, key=lambda share: share or 0.0)
     export_baked(dataclasses.replace(document(), edits=()), field, tmp_path / "plain.npz")
     plain = VoxelField.load(tmp_path / "plain.npz", device=field.device)
     np.testing.assert_allclose(plain.render(looking).rgb, field.render(looking).rgb, atol=1e-3)
@@ -356,9 +356,9 @@ def test_the_command_makes_the_film_of_the_editor_to_the_bit(saved, device, tmp_
     export_film(moving(loop="loop"), field, tmp_path / "of the editor", film)
     output = str(tmp_path / "of a command")
     command = export_command(saved / "ball.session.json", saved / "ball.npz", film, output=output)
-    words = shlex.split(command)
-    assert words[:2] == ["warpcage", "animate"] and "\n" not in command
-    assert main([*words[1:], "--device", device, "--quiet"]) == 0
+    arguments = shlex.split(command)
+    assert arguments[:2] == ["warpcage", "animate"] and "\n" not in command
+    assert main([*arguments[1:], "--device", device, "--quiet"]) == 0
     assert f"wrote {output}: 3 frames of 36x24" in capsys.readouterr().out
     for one, two in zip(pictures_of(tmp_path / "of the editor"), pictures_of(tmp_path / "of a command"), strict=True):
         assert one.tobytes() == two.tobytes() and one.shape == (24, 36, 4 if transparent else 3)
@@ -366,10 +366,10 @@ def test_the_command_makes_the_film_of_the_editor_to_the_bit(saved, device, tmp_
 
 @pytest.mark.parametrize("transparent", [False, True])
 def test_a_job_file_of_a_session_makes_its_frames_to_the_bit(saved, tmp_path, transparent):
-    words = ["animate", str(saved / "ball.npz"), "--session", str(saved / "ball.session.json"), "--device", "cpu"]
-    words += ["--size", "36", "24", "--quiet", *(["--transparent"] * transparent)]
-    assert main([*words, "-o", str(tmp_path / "frames")]) == 0
-    assert main([*words, "--jobs", str(saved / "film.jsonl")]) == 0
+    arguments = ["animate", str(saved / "ball.npz"), "--session", str(saved / "ball.session.json"), "--device", "cpu"]
+    arguments += ["--size", "36", "24", "--quiet", *(["--transparent"] * transparent)]
+    assert main([*arguments, "-o", str(tmp_path / "frames")]) == 0
+    assert main([*arguments, "--jobs", str(saved / "film.jsonl")]) == 0
     with JobFile(saved / "film.jsonl") as job, Worker(job.folder, tmp_path / "out", "cpu") as worker:
         for item in job:
             worker.run(item)
@@ -383,8 +383,8 @@ def test_a_film_of_a_session_without_two_keys_says_that_nothing_moves(saved, fie
     timeline = dataclasses.replace(document.timeline, keys=document.timeline.keys[:count], length=0.2, fps=10.0)
     session = saved / "still.session.json"
     write_session(session, dataclasses.replace(document, timeline=timeline), field, "ball.npz")
-    words = ["animate", str(saved / "ball.npz"), "--session", str(session), "--device", "cpu", "--size", "24", "24"]
-    assert main([*words, "--quiet", "-o", str(tmp_path / "film.gif")]) == 0
+    arguments = ["animate", str(saved / "ball.npz"), "--session", str(session), "--device", "cpu", "--size", "24", "24"]
+    assert main([*arguments, "--quiet", "-o", str(tmp_path / "film.gif")]) == 0
     assert ("nothing moves in this film: its 3 frames are equal" in capsys.readouterr().err) == (count < 2)
 
 
@@ -397,7 +397,7 @@ def test_words_of_the_command_are_safe_for_a_shell():
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("arguments", "message"),
     [
         (["--cage", "cage.obj", "--posed", "posed.obj"], "--session cannot be combined with --cage"),
         (["--frames", "48"], "--session cannot be combined with --frames: the session decides that"),
@@ -409,7 +409,7 @@ def test_words_of_the_command_are_safe_for_a_shell():
         (["--background", "white"], "--session cannot be combined with --background"),
     ],
 )
-def test_what_a_session_decides_cannot_be_given(saved, capsys, tmp_path, monkeypatch, words, message):
+def test_what_a_session_decides_cannot_be_given(saved, capsys, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     start = [
         "animate",
@@ -421,23 +421,23 @@ def test_what_a_session_decides_cannot_be_given(saved, capsys, tmp_path, monkeyp
         "--size",
         "8",
     ]
-    assert main([*start, *words]) == 2
+    assert main([*start, *arguments]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
 
 
 def test_sessions_that_are_not_there_and_of_other_fields(saved, tmp_path, capsys):
     files = write_files(tmp_path)
-    for words, message in (
+    for arguments, message in (
         ([saved / "ball.npz", "--session", "nothing.json"], "session file 'nothing.json' is not there"),
         ([files / "ball.npz", "--session", files / "text.txt"], "text.txt: not a session file"),
         ([saved / "ball.npz", "--transparent"], "a film that ends in .mp4 has no opacity"),
     ):
-        assert main(["animate", *map(str, words), "-o", str(tmp_path / "film.mp4"), "--device", "cpu"]) == 2
+        assert main(["animate", *map(str, arguments), "-o", str(tmp_path / "film.mp4"), "--device", "cpu"]) == 2
         error = capsys.readouterr().err
         assert message in error and error.count("\n") == 1
     other = shiny_field("cpu", origin=(3, 0, 0))
     other.save(tmp_path / "other.npz")
-    words = [tmp_path / "other.npz", "--session", saved / "ball.session.json", "-o", tmp_path / "film.mp4"]
-    assert main(["animate", *map(str, words), "--device", "cpu"]) == 2
+    arguments = [tmp_path / "other.npz", "--session", saved / "ball.session.json", "-o", tmp_path / "film.mp4"]
+    assert main(["animate", *map(str, arguments), "--device", "cpu"]) == 2
     assert "it belongs to another field, ball.npz, with other bounds" in capsys.readouterr().err

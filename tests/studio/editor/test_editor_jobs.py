@@ -17,8 +17,8 @@ def finished(jobs):
 
 
 def test_a_job_tells_of_its_progress_and_of_what_came_of_it():
-    heard = []
-    jobs = Jobs(lambda: heard.append(jobs.section()))
+    sections = []
+    jobs = Jobs(lambda: sections.append(jobs.section()))
 
     def work(progress):
         for k in range(4):
@@ -29,21 +29,21 @@ def test_a_job_tells_of_its_progress_and_of_what_came_of_it():
     (job,) = finished(jobs)
     assert job == {"id": number, "name": "Steps", "share": 1.0, "text": "", "state": "done",
                    "download": "/download/steps", "result": "four steps"}  # fmt: skip
-    steps = [(entry[0]["share"], entry[0]["text"]) for entry in heard if entry[0]["text"].startswith("step")]
+    steps = [(entry[0]["share"], entry[0]["text"]) for entry in sections if entry[0]["text"].startswith("step")]
     assert [step for k, step in enumerate(steps) if k == 0 or step != steps[k - 1]] == [
         (k / 4, f"step {k}") for k in range(4)
     ]
-    assert heard[-1][0]["state"] == "done"
+    assert sections[-1][0]["state"] == "done"
     jobs.clear(number)
-    assert jobs.section() == [] and heard[-1] == []
+    assert jobs.section() == [] and sections[-1] == []
 
 
 def test_a_listener_is_told_of_each_percent_once():
-    told = []
-    jobs = Jobs(lambda: told.append(1))
+    calls = []
+    jobs = Jobs(lambda: calls.append(1))
     jobs.start("many", "count", lambda progress: [progress(k / 10000, "works") for k in range(10000)] and None)
     finished(jobs)
-    assert 100 <= len(told) <= 105
+    assert 100 <= len(calls) <= 105
 
 
 def test_one_at_a_time_of_each_kind_in_their_order():
@@ -124,7 +124,7 @@ def test_a_failed_job_says_why_in_one_line(error, line):
 
 def test_a_listener_that_fails_does_not_stop_the_work():
     def listener():
-        raise RuntimeError("nobody hears")
+        raise RuntimeError("a broken listener")
 
     jobs = Jobs(listener)
     jobs.start("works", "any", lambda progress: progress(0.5) or Outcome("done"))

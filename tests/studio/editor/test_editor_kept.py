@@ -1,4 +1,4 @@
-"""What was keyed is never lost without a word: all commands of the page, and undo after the editor has ended."""
+"""What was keyed is never lost without a message: all commands of the page, and undo after the editor has ended."""
 
 import asyncio
 import base64
@@ -19,9 +19,9 @@ from editor_pages import new_session, pages, tiny_field, with_pages
 import warpcage
 from warpcage import Cage, PoseFile, VoxelField, deform_points, edit
 from warpcage.studio.editor import COMMANDS, History, frozen_vertices, losses, read_history, replace_cage
-from warpcage.studio.editor import session as session_module
 from warpcage.studio.editor import tasks as tasks_module
 from warpcage.studio.editor.steps import history
+from warpcage.studio.films import session_file
 
 __all__ = ["editor", "window"]  # fixtures
 
@@ -37,8 +37,8 @@ LOSES_ALL = "loses its poses of 2 cages, 1 key its camera, 1 key its positions o
 OF_EDIT = '2 keys lose their poses of "Move 1".'
 ROUGH = 'The new cage of "Move 1" takes the poses of 2 keys over roughly: up to '
 
-#: Every command of the page, with keys there: whether these keep what they hold, or the page asks first, or tells what
-#: goes, in these words; and messages that carry it out.
+#: Every command of the page, with keys there: whether these keep what they hold, or the page asks first, or warns of
+#: what goes, in this line; and messages that carry it out.
 TABLE = {
     "select": ("keeps", {"edit": FIRST, "mode": "vertex", "vertices": [0, 1]}),
     "settings": ("keeps", {"resolution": 24}),
@@ -55,11 +55,11 @@ TABLE = {
     "cage.load": ("asks", {"edit": FIRST, "file": "ball.obj"}, ROUGH),
     "cage.box": ("keeps", {"edit": FIRST, "vertices": [0, 7]}),
     "cage.mirror": ("keeps", {"edit": FIRST, "axis": "x", "place": 0.0}),
-    "key.add": ("tells", {"time": 1.0, "pose": True}, '1 key loses its old pose of "Move 1".'),
-    "key.change": ("tells", {"id": KEYS[1], "pose": True}, '1 key loses its old pose of "Move 1".'),
-    "key.delete": ("tells", {"id": KEYS[0]}, f"1 key {LOSES_ALL}"),
+    "key.add": ("warns", {"time": 1.0, "pose": True}, '1 key loses its old pose of "Move 1".'),
+    "key.change": ("warns", {"id": KEYS[1], "pose": True}, '1 key loses its old pose of "Move 1".'),
+    "key.delete": ("warns", {"id": KEYS[0]}, f"1 key {LOSES_ALL}"),
     "camera.move": ("asks", {"move": "turn:90"}, "2 keys lose their cameras."),
-    "camera.frame": ("tells", {"aspect": 0.2}, "2 keys lose their old cameras."),
+    "camera.frame": ("warns", {"aspect": 0.2}, "2 keys lose their old cameras."),
     "camera.outside": ("keeps", {"aspect": 0.2}),
     "poses.load": ("asks", {"file": "poses.json", "edit": FIRST}, OF_EDIT),
     "object.select": ("keeps", {"id": COPY}),
@@ -115,9 +115,9 @@ def film(session):
 
 
 def spoken():
-    """The words of commands in the scripts of the page."""
+    """The names of commands in the scripts of the page."""
     scripts = (Path(warpcage.__file__).parent / "studio" / "editor" / "page").rglob("*.js")
-    return {word for script in scripts for word in re.findall(r'\bdo: "([a-z.]+)"', script.read_text())}
+    return {name for script in scripts for name in re.findall(r'\bdo: "([a-z.]+)"', script.read_text())}
 
 
 def test_no_command_of_the_page_loses_what_was_keyed_without_a_word(tmp_path, monkeypatch):
@@ -143,29 +143,29 @@ def test_no_command_of_the_page_loses_what_was_keyed_without_a_word(tmp_path, mo
         assert tuple(key.id for key in session.document.timeline.keys) == KEYS
         await page.drag(REST * 1.5, edit=FIRST)
         page.notices.clear()
-        for word, (verdict, first, *others) in TABLE.items():
+        for name, (verdict, first, *others) in TABLE.items():
             if first is None:
                 continue
-            words = [one for one in others if isinstance(one, str)]
+            lines = [one for one in others if isinstance(one, str)]
             before, whole, steps = session.document, film(session), len(session.history.undo_steps)
-            await page.do(do=word, **first)
-            if word == "drag.begin":
+            await page.do(do=name, **first)
+            if name == "drag.begin":
                 await page.move(REST * 2)
             for message in others:
                 if isinstance(message, dict):
                     await page.do(**message)
             await page.until(lambda: all(job["state"] == "done" for job in host.jobs.section()))
-            await page.do(do="seen", frame=0)  # what was told before is here
-            told = [text for text in page.notices if text.endswith(BACK)]
+            await page.do(do="seen", frame=0)  # what was sent before is here
+            shown = [text for text in page.notices if text.endswith(BACK)]
             lost = losses(before, session.document)
             if verdict == "keeps":
-                assert told == [] and lost is None, word
+                assert shown == [] and lost is None, name
             else:
-                (line,) = told
-                assert line == lost and line.startswith(*words), (word, line)
+                (line,) = shown
+                assert line == lost and line.startswith(*lines), (name, line)
             for _ in range(len(session.history.undo_steps) - steps):
                 await page.do(do="undo")
-            assert film(session) == whole, word
+            assert film(session) == whole, name
             page.notices.clear()
         await page.refused(do="timeline", length=0.5)  # a film does not end before its last key
         assert film(session) == whole
@@ -174,7 +174,7 @@ def test_no_command_of_the_page_loses_what_was_keyed_without_a_word(tmp_path, mo
 
 
 @pytest.mark.parametrize(
-    ("cage", "told"),
+    ("cage", "warning"),
     [
         (CAGE.with_vertices(CAGE.vertices + 0.25), None),  # the same mesh elsewhere: poses keep their distance
         (Cage(CAGE.vertices[::-1], 25 - CAGE.faces), None),  # in another order
@@ -183,17 +183,17 @@ def test_no_command_of_the_page_loses_what_was_keyed_without_a_word(tmp_path, mo
         (BALL, ROUGH.replace("poses of 2 keys", "pose of 1 key")),
     ],
 )
-def test_a_cage_in_place_of_another_keeps_poses_exactly_where_that_can_be(cage, told):
+def test_a_cage_in_place_of_another_keeps_poses_exactly_where_that_can_be(cage, warning):
     session, said = new_session(cages=(CAGE,)), []
     session.notify = said.append
     session.change(lambda document: ("pose", document.with_edit(posed_edit(document, CAGE.twist(40).vertices))))
     session.run({"do": "key.add", "time": 1.0, "pose": True})
     old = session.document.edits[0]
     session.change(lambda document: replace_cage(document, 1, cage, "load"))
-    assert said == [] if told is None else said[0].startswith(told)
+    assert said == [] if warning is None else said[0].startswith(warning)
     new, pose = session.document.edits[0], session.document.timeline.keys[0].poses[1]
     np.testing.assert_array_equal(new.posed, pose)
-    if told is None:
+    if warning is None:
         inside = 0.5 * old.rest
         offset = new.rest.mean(axis=0) - old.rest.mean(axis=0)
         moved = [
@@ -244,7 +244,7 @@ def test_dialogs_say_what_keys_would_lose_and_undo_brings_it_back(window, editor
         assert "its pose and those of 2 keys are carried over" in window.get(ASKED)
         window.click("#dialog-cancel")
         window.wait("!document.querySelector('dialog')")
-    for fold, opener, words, told in DIALOGS:
+    for fold, opener, question, warning in DIALOGS:
         if fold == "objects":
             said(editor, {"do": "object.copy", "id": 0, "offset": [3, 0, 0]})
             window.wait("warpcage.store.sections.objects.length === 2")
@@ -252,10 +252,10 @@ def test_dialogs_say_what_keys_would_lose_and_undo_brings_it_back(window, editor
         window.unfold(fold)
         window.click(opener)
         window.wait("document.querySelector('dialog')")
-        assert words in window.get(ASKED)
+        assert question in window.get(ASKED)
         window.confirm()
         until(lambda: film(editor.session) != kept, "it is done")  # noqa: B023
-        window.wait("document.querySelector('#toasts').textContent.includes(arguments[0])", "", told)
+        window.wait("document.querySelector('#toasts').textContent.includes(arguments[0])", "", warning)
         window.wait("warpcage.store.sections.history.undo_label !== 'add key 2'")
         window.press("Ctrl+Z")
         until(lambda: film(editor.session) == kept, "the keys are back")  # noqa: B023
@@ -266,7 +266,7 @@ def test_dialogs_say_what_keys_would_lose_and_undo_brings_it_back(window, editor
 
 
 def said(editor, *messages):
-    """What an editor answers to commands of a page, and what it tells this page."""
+    """What an editor answers to commands of a page, and what it sends this page."""
 
     async def talk():
         async with pages(types.SimpleNamespace(address=editor.url), size=None) as (page,):
@@ -283,7 +283,7 @@ UNDO = {"do": "undo"}
 
 
 def worked(path):
-    """A session of a field's file in which somebody has worked: two poses and a key, which is undone."""
+    """A session of a field's file with work in it: two poses and a key, which is undone."""
     with edit(path, CAGE) as editor:
         said(editor, sized(1.1), sized(1.2), {"do": "key.add", "time": 1.0, "pose": True, "camera": True}, UNDO)
         return film(editor.session), editor.session.history
@@ -399,8 +399,8 @@ def test_steps_to_an_object_whose_file_is_another_by_now_are_left_out(tmp_path, 
         dense_ball(6, arm)
     with edit(path) as editor:
         session = editor.session
-        told = "3 undo steps are left out: arm.npz is gone or changed."
-        assert said(editor, UNDO) == (["x2"], [told]) and session.history.undo_steps == []
+        shown = "3 undo steps are left out: arm.npz is gone or changed."
+        assert said(editor, UNDO) == (["x2"], [shown]) and session.history.undo_steps == []
         assert said(editor) == ([], [])  # once
         assert film(session) == kept and [scene_object.file for scene_object in session.document.objects] == [None]
 
@@ -440,8 +440,8 @@ def test_a_pose_that_no_key_holds_has_a_way_back_to_its_time_and_view(tmp_path, 
             if message.get("on"):
                 await page.until(lambda: page.sections["playback"]["left"] == 1.0)
         if act[0]["do"] in ("time", "play"):
-            (told,) = page.notices
-            assert told == "No key holds the pose that was left at 1.00 s. Undo goes back to it."
+            (shown,) = page.notices
+            assert shown == "No key holds the pose that was left at 1.00 s. Undo goes back to it."
         for _ in range(len(session.history.undo_steps) - steps):
             await page.do(do="undo")
         document = session.document
@@ -486,7 +486,7 @@ WRITTEN = [
 
 
 def test_jobs_lists_what_a_session_wrote_after_the_editor_has_ended(tmp_path, monkeypatch):
-    for module in (session_module, tasks_module):
+    for module in (session_file, tasks_module):
         monkeypatch.setattr(module, "MAX_EXPORTS", 4)
     path = ball(tmp_path)
 
@@ -495,35 +495,35 @@ def test_jobs_lists_what_a_session_wrote_after_the_editor_has_ended(tmp_path, mo
         await page.do(do="key.add", time=0.0, pose=True)
         for message in (WRITTEN[1], *WRITTEN):
             await page.do(**message)
-            told = await finished(page)
-        return told
+            shown = await finished(page)
+        return shown
 
     def opened(work):
         with edit(path, None if path.with_name("ball.session.json").exists() else CAGE) as editor:
 
             async def talk():
                 async with pages(types.SimpleNamespace(address=editor.url), size=None) as (page,):
-                    told = await work(page)
+                    shown = await work(page)
                     got = {}
                     async with aiohttp.ClientSession() as http:
-                        for name, download, _ in told:
+                        for name, download, _ in shown:
                             if download is not None:
                                 async with http.get(editor.url + download) as answer:
                                     got[name] = answer.status, await answer.read()
-                    return told, got
+                    return shown, got
 
             return asyncio.run(talk())
 
     before, _ = opened(write)
     session = tmp_path / "ball.session.json"
-    told, got = opened(finished)
-    assert told == before[-4:] and len(before) == 6  # one of each name, the newest four
-    assert [name for name, download, _ in told if download is None] == ["Write frames"]
-    assert str(tmp_path / "frames") in {name: line for name, _, line in told}["Write frames"]
+    shown, got = opened(finished)
+    assert shown == before[-4:] and len(before) == 6  # one of each name, the newest four
+    assert [name for name, download, _ in shown if download is None] == ["Write frames"]
+    assert str(tmp_path / "frames") in {name: line for name, _, line in shown}["Write frames"]
     for name, answer in got.items():
         assert answer == (200, (tmp_path / name.removeprefix("Write ")).read_bytes())
     content = session.read_bytes()
-    assert opened(finished)[0] == told and session.read_bytes() == content  # a look changes nothing
+    assert opened(finished)[0] == shown and session.read_bytes() == content  # a look changes nothing
     (tmp_path / "film.mp4").write_bytes(b"mine")  # another file by now
     (tmp_path / "poses.json").unlink()
     (tmp_path / "poses.json").symlink_to(path.parent.parent)

@@ -57,7 +57,7 @@ def test_a_page_that_makes_no_sense_for_long_is_let_go(tmp_path):
             await page.socket.send_bytes(b"x")
         assert await page.ended() == aiohttp.WSCloseCode.POLICY_VIOLATION
         await other.until(lambda: other.sections["session"]["pages"] == 1)
-        for _ in range(2 * clients.MAX_MISTAKES):  # what a hand may do in vain is no nonsense
+        for _ in range(2 * clients.MAX_MISTAKES):  # what a user may do in vain is no nonsense
             await other.refused(do="undo")
         await other.socket.send_bytes(b"x")
         await other.do(do="select", edit=1, mode="vertex", vertices=[1])
@@ -193,11 +193,11 @@ json_values = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
     max_leaves=8,
 )
-words = sorted({message["do"] for message in GOOD} - {"cage.generate", "export", "play"})
+names = sorted({message["do"] for message in GOOD} - {"cage.generate", "export", "play"})
 fields = sorted({name for message in GOOD for name in message} - {"do"})
 commands = st.builds(
     lambda good, changes: {**good, **changes},
-    st.sampled_from([message for message in GOOD if message["do"] in words]),
+    st.sampled_from([message for message in GOOD if message["do"] in names]),
     st.dictionaries(st.sampled_from(fields), json_values, max_size=2),
 )
 messages = st.one_of(

@@ -370,10 +370,10 @@ def test_a_mesh_is_added_placed_posed_copied_hidden_and_kept(folder):
     async def test(server, page):
         await page.do(do="object.add", file="cube.glb", beside=True)
         await page.until(lambda: len(page.sections["objects"]) == 2)
-        told = page.sections["objects"][1]
-        assert told["size"] == f"{len(cube.faces)} triangles" and told["file"] == "cube.glb"
-        np.testing.assert_allclose(told["bounds"], cube.bounds, atol=1e-6)
-        number = told["id"]
+        section = page.sections["objects"][1]
+        assert section["size"] == f"{len(cube.faces)} triangles" and section["file"] == "cube.glb"
+        np.testing.assert_allclose(section["bounds"], cube.bounds, atol=1e-6)
+        number = section["id"]
         assert session.document.scene_object(number).place.moved(cube.bounds)[0, 0] > session.field.bounds[1, 0]
         await page.do(do="object.change", id=number, place={"position": [1.4, 0, 0], "turn": [0, 0, 30]})
         await page.do(do="cage.generate", count=24, method="voxel")

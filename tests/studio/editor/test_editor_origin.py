@@ -45,7 +45,7 @@ const sandboxed = (address) => new Promise((end) => {
 });
 """
 
-#: All of it, with the address's word, without it, and with another one.
+#: All of it, with the address's token, without it, and with another one.
 TRY_ALL = """
 (async () => {
   const found = {};
@@ -107,7 +107,7 @@ def test_a_page_of_another_origin_reaches_nothing(window: Window, browser: Any, 
         server.server_close()
         window.open(editor.url)
         window.console()  # browsers say what they refused
-    # A frame with the word in its address is the user's own page, as a notebook shows it; it alone was let in
+    # A frame with the token in its address is the user's own page, as a notebook shows it; it alone was let in
     assert editor.server.page_total - numbers <= 3
     after = dataclasses.replace(editor.document, view=document.view)
     assert np.array_equal(posed(editor), document.edits[0].posed) and after.edits == document.edits

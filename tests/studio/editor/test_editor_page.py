@@ -169,9 +169,9 @@ def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, 
     window.click("#time-export")
     for field, value in (("#ask-width", "48"), ("#ask-height", "32")):
         window.fill(field, value)
-    told = window.wait('document.getElementById("dialog-note")?.textContent')
+    note = window.wait('document.getElementById("dialog-note")?.textContent')
     size = "5 frames (the first and the last moment are both shown) of 48 x 32 pixels"
-    assert told.startswith(f"{size}, into {tmp_path}/film.mp4. Takes ") and "MB" in told
+    assert note.startswith(f"{size}, into {tmp_path}/film.mp4. Takes ") and "MB" in note
     window.confirm()
     job = window.job(1)
     assert job["state"] == "done", job
@@ -212,11 +212,11 @@ def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, 
         window.fill(field, value)
     window.click("#dialog-confirm")
     printed = window.wait('document.querySelector("dialog textarea, dialog pre, dialog code")')
-    words = shlex.split(printed.get_attribute("value") or printed.text)
-    assert words[0] == "warpcage"
+    arguments = shlex.split(printed.get_attribute("value") or printed.text)
+    assert arguments[0] == "warpcage"
     window.press("Escape")
     monkeypatch.chdir(tmp_path)
-    main(words[1:])
+    main(arguments[1:])
     again = iio.imread(tmp_path / "again.mp4", plugin="pyav")
     # the frames themselves are equal to the bit (test_editor_exports); an encoder may spend its bits otherwise
     assert [warpcage.psnr(one / 255.0, two / 255.0) > 40.0 for one, two in zip(again, film, strict=True)] == [True] * 5
@@ -232,7 +232,7 @@ def test_a_reloaded_page_and_a_second_one_have_the_same_state(window: Window, br
     window.press("K")
     window.wait("warpcage.store.sections.timeline.keys.length === 1")
     window.drag([lowest + [-150, -200], lowest + [-130, -190], lowest + [-90, -190]], keys=1)
-    until(lambda: editor.document.view == view_of(window), "the view is told")
+    until(lambda: editor.document.view == view_of(window), "the server has the view")
     before = window.sections()
     window.reload()
     assert window.sections() == before
@@ -273,7 +273,7 @@ def test_a_connection_that_breaks_in_mid_drag_comes_back(window: Window, editor:
     with tunnel(editor.url) as (line, address):
         window.open(address)
         begun = len(editor.session.history.undo_steps)
-        window.wait('document.getElementById("speed").textContent', "the header tells the speed of pictures")
+        window.wait('document.getElementById("speed").textContent', "the header shows the speed of pictures")
         box = window.box
         lowest, _ = below(window)
         window.point("mouseMoved", lowest)
@@ -282,16 +282,16 @@ def test_a_connection_that_breaks_in_mid_drag_comes_back(window: Window, editor:
         until(lambda: not np.array_equal(posed(editor), CAGE.vertices), "the drag arrives")
         line.cut()
         window.wait('!document.getElementById("speed").textContent', "the page knows that the line is broken")
-        assert window.box == box  # the view has not moved from under the hand
+        assert window.box == box  # the view has not moved from under the pointer
         window.point("mouseMoved", lowest + [40, 20], button="left")
         line.restore()
         window.wait("warpcage.store.status.connected", "the page is connected again")
         window.point("mouseMoved", lowest + [50, 30], button="left")
         window.point("mouseReleased", lowest + [50, 30], button="left")
         vertex = int(np.argmax(np.abs(window.posed() - CAGE.vertices).max(axis=1)))
-        until(lambda: np.allclose(window.posed(), posed(editor), atol=1e-12), "the server has what the hand did")
+        until(lambda: np.allclose(window.posed(), posed(editor), atol=1e-12), "the server has the drag")
         np.testing.assert_allclose(window.places()[vertex], lowest + [50, 30], atol=1.0)
-        until(lambda: not editor.session.moving, "the hand has let go")
+        until(lambda: not editor.session.moving, "the drag has ended")
         assert len(editor.session.history.undo_steps) > begun
         while len(editor.session.history.undo_steps) > begun:
             count = len(editor.session.history.undo_steps)
@@ -300,7 +300,7 @@ def test_a_connection_that_breaks_in_mid_drag_comes_back(window: Window, editor:
         assert np.array_equal(posed(editor), CAGE.vertices)
         # what a browser says by itself of a socket that breaks
         lost = ("WebSocket connection to", "net::ERR_CONNECTION_")
-        left = [entry for entry in window.console() if not any(word in entry["message"] for word in lost)]
+        left = [entry for entry in window.console() if not any(text in entry["message"] for text in lost)]
         assert left == []
         window.open(editor.url)
 
@@ -501,4 +501,4 @@ def test_a_page_goes_on_with_the_next_editor_or_says_that_it_cannot(browser: Any
             line.restore()
             window.wait("document.querySelector('#connection').title.includes('open the address it printed')")
     browser.get("about:blank")
-    browser.get_log("browser")  # that nothing answered is told there
+    browser.get_log("browser")  # that nothing answered is logged there

@@ -244,7 +244,7 @@ def test_the_latest_pose_wins(tmp_path):
             await asyncio.sleep(0.005)
         for factor in np.linspace(1.02, 1.5, 49):
             await page.move(REST * factor)
-        await page.do(do="seen", frame=1)  # all have been heard
+        await page.do(do="seen", frame=1)  # all have been taken
         gate.set()
         await page.until(lambda: page.frames[-1]["applied"]["1"] == 50)
         assert shown[:2] == [1, 50], shown

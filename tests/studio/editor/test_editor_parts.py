@@ -1,4 +1,4 @@
-"""Parts made by hand on the editor's page, in a real browser: boxes, a ruler, a brush, and curves of keys."""
+"""Parts made interactively on the editor's page, in a real browser: boxes, a ruler, a brush, and curves of keys."""
 
 from __future__ import annotations
 
@@ -303,9 +303,9 @@ def test_handles_of_a_curve_are_dragged_in_the_graph(window: Window, editor: Any
     window.fill("#key-curve", "0.2, -0.3, 0.4, 1\n")
     until(lambda: editor.document.timeline.keys[0].easing == {"bezier": [0.2, -0.3, 0.4, 1.0]}, "numbers are taken")
     window.fill("#key-curve", "2, 0, 0, 1\n")
-    window.wait('document.getElementById("toasts").textContent.includes("x1 of easing must be a share")')
+    window.wait('document.getElementById("toasts").textContent.includes("x1 of easing must be")')
     window.choose("#key-easing", "linear")
-    until(lambda: editor.document.timeline.keys[0].easing == "linear", "a word again")
+    until(lambda: editor.document.timeline.keys[0].easing == "linear", "a name again")
     window.wait('document.getElementById("curve-handle-1").hidden')
 
 
@@ -362,9 +362,9 @@ def test_a_move_of_the_camera_becomes_keys(window: Window, editor: Any) -> None:
     keys = editor.document.timeline.keys
     assert [key.time for key in keys] == [0.0, 2.0, 4.0] and all(key.view and key.poses is None for key in keys)
     window.click("#camera-move")
-    window.fill("#ask-words", "spin:3")
+    window.fill("#ask-typed", "spin:3")
     window.click("#dialog-confirm")
     window.wait('document.getElementById("dialog-error").textContent.includes("is not a move")')
-    assert window.get('document.getElementById("ask-words").value') == "spin:3"  # what was typed stays
+    assert window.get('document.getElementById("ask-typed").value') == "spin:3"  # what was typed stays
     window.press("Escape")
     assert editor.document.timeline.keys == keys

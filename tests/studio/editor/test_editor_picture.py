@@ -97,10 +97,10 @@ def test_bands_make_the_whole_picture(device):
 def test_messages_hold_header_jpeg_and_depths(frame, quality):
     pixels = frame_pixels(frame, "alpha", NEAR, FAR, 9, 6)
     message = packed_frame({"frame": 3, "text": "Grüße"}, pixels, quality)
-    kind, words, jpeg, depths = struct.unpack_from("<4I", message)
+    kind, text, jpeg, depths = struct.unpack_from("<4I", message)
     assert kind == FRAME
-    assert json.loads(message[16 : 16 + words]) == {"frame": 3, "text": "Grüße"}
-    begin = 16 + words + (-words) % 8
+    assert json.loads(message[16 : 16 + text]) == {"frame": 3, "text": "Grüße"}
+    begin = 16 + text + (-text) % 8
     assert begin % 8 == 0
     decoded = simplejpeg.decode_jpeg(message[begin : begin + jpeg])
     assert decoded.shape == pixels.colors.shape
@@ -203,8 +203,8 @@ def test_a_sharp_picture_is_the_frame_of_the_settings(document):
         renderer.close()
     assert (header["width"], header["height"], header["applied"]) == (48, 32, {"1": 7})
     message = shown.messages[shown.headers.index(header)]
-    _, words, jpeg, _ = struct.unpack_from("<4I", message)
-    begin = 16 + words + (-words) % 8
+    _, text, jpeg, _ = struct.unpack_from("<4I", message)
+    begin = 16 + text + (-text) % 8
     picture = simplejpeg.decode_jpeg(message[begin : begin + jpeg]) / 255.0
     edit = posed.edits[0]
     deformer = warpcage.Deformer(field, edit.rest_cage, resolution=16).pose(edit.posed_cage)
@@ -301,8 +301,8 @@ def sharp(field, document, **settings):
         renderer.close()
     assert not header["error"], header["error"]
     message = shown.messages[shown.headers.index(header)]
-    _, words, jpeg, _ = struct.unpack_from("<4I", message)
-    begin = 16 + words + (-words) % 8
+    _, text, jpeg, _ = struct.unpack_from("<4I", message)
+    begin = 16 + text + (-text) % 8
     return header, simplejpeg.decode_jpeg(message[begin : begin + jpeg]) / 255.0
 
 

@@ -91,12 +91,12 @@ def test_a_page_of_another_origin_can_do_nothing_even_with_the_token(tmp_path, o
 
 def test_names_and_addresses_that_were_told_are_welcome(tmp_path):
     async def test(host, http):
-        answers = {name: await status(http, host.address, headers={"Host": name}) for name, _ in told}
-        assert answers == {name: 200 if welcome else 403 for name, welcome in told}
+        answers = {name: await status(http, host.address, headers={"Host": name}) for name, _ in allowed}
+        assert answers == {name: 200 if welcome else 403 for name, welcome in allowed}
 
-    told = [("proxy.example", True), ("10.1.2.3:80", False), ("evil.example", False)]
+    allowed = [("proxy.example", True), ("10.1.2.3:80", False), ("evil.example", False)]
     run(test, tmp_path, allowed_hosts=("Proxy.example",))
-    told = [("proxy.example", False), ("10.1.2.3:80", True), ("[fe80::1]", True), ("127.0.0.1", True)]
+    allowed = [("proxy.example", False), ("10.1.2.3:80", True), ("[fe80::1]", True), ("127.0.0.1", True)]
     run(test, tmp_path, host="0.0.0.0")
 
 
@@ -392,13 +392,16 @@ def test_the_uploads_of_a_page_go_with_it_and_those_of_others_stay(tmp_path):
 
 KILLED = """
 import pathlib, sys
+from warpcage.core.files import atomic_path
 from warpcage.studio.editor.work.uploads import Uploads
 
 folder = pathlib.Path(sys.argv[1])
 uploads = Uploads(folder, lambda name: folder / name)
 uploads.keep(sys.argv[2], b"no field")
-print("kept", flush=True)
-sys.stdin.read()
+with uploads.unfinished(folder / "film.mp4") as film, atomic_path(film) as written:
+    written.write_bytes(b"half a film")
+    print("kept", flush=True)
+    sys.stdin.read()
 """
 
 
@@ -419,11 +422,14 @@ def test_what_a_killed_editor_leaves_is_removed_and_nothing_else(tmp_path):
         killed.kill()
         killed.wait()
         assert len(list(tmp_path.glob(".warpcage-upload-*-killed.npz"))) == 1
+        assert len(list(tmp_path.glob(".warpcage-upload-*-export-*/.film-*.mp4"))) == 2
 
         async def test(host, page):
             assert await page.do(do="object.files") == {"files": ["a.npz"]}
             assert not list(tmp_path.glob(".warpcage-upload-*-killed.npz"))
             assert len(list(tmp_path.glob(".warpcage-upload-*-runs.npz"))) == 1  # its editor has not ended
+            assert len(list(tmp_path.glob(".warpcage-upload-*-export-*"))) == 1
+            assert len(list(tmp_path.glob(".warpcage-upload-*-export-*/.film-*.mp4"))) == 1
             assert len(list(tmp_path.glob(".warpcage-upload-*-lock"))) == 2
 
         with_pages(test, tmp_path)

@@ -139,12 +139,12 @@ def test_undo_in_the_middle_of_a_drag_undoes_the_drag():
 def test_a_command_that_fails_changes_nothing():
     session = new_session()
     before = session.document
-    heard = []
-    session.listeners.append(heard.append)
+    calls = []
+    session.listeners.append(calls.append)
     for message in ({"do": "edit.delete", "id": 5}, {"do": "pose.set", "edit": 1}, {"do": "timeline", "fps": 0}):
         with pytest.raises(ValueError):
             session.run(message)
-    assert session.document is before and labels(session) == [] and heard == []
+    assert session.document is before and labels(session) == [] and calls == []
 
 
 def test_what_changes_nothing_is_no_step_and_keeps_what_was_undone():

@@ -87,10 +87,10 @@ def test_cages_of_splats_are_checked(splats):
 
 
 def test_baked_splats_are_splats(splats, tmp_path):
-    document, told = posed_document(splats, BOX.rotate(90, axis="z")), []
-    baked = export_baked(document, splats, tmp_path / "bent.ply", lambda _, text: told.append(text))
+    document, reports = posed_document(splats, BOX.rotate(90, axis="z")), []
+    baked = export_baked(document, splats, tmp_path / "bent.ply", lambda _, text: reports.append(text))
     again = load_field(tmp_path / "bent.ply")
-    assert field_size(baked) == "400 splats" and "400 splats" in told[-1] and len(again) == 400
+    assert field_size(baked) == "400 splats" and "400 splats" in reports[-1] and len(again) == 400
     expected = splats.contents.centers @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
     assert np.abs(again.contents.centers - expected).max() < 1e-3
     with pytest.raises(ValueError, match=r"\.ply"):

@@ -241,17 +241,17 @@ def test_a_film_is_as_long_as_its_last_key_and_has_the_same_frames_everywhere(tm
     assert file.length == last and frame_count(file.length, fps, file.loop or "once") == frames  # render_film
     tiny_field().save(tmp_path / "ball.npz")
     CAGE.save(tmp_path / "cage.obj")
-    words = ["animate", "@ball.npz", "--cage", "@cage.obj", "--posed", "@poses.json", "--size", 8, "--quiet"]
-    succeed(tmp_path, *words, "-o", "@frames")
+    arguments = ["animate", "@ball.npz", "--cage", "@cage.obj", "--posed", "@poses.json", "--size", 8, "--quiet"]
+    succeed(tmp_path, *arguments, "-o", "@frames")
     assert len(list((tmp_path / "frames").glob("*.png"))) == frames
-    succeed(tmp_path, *words, "--jobs", "@film.jsonl")
+    succeed(tmp_path, *arguments, "--jobs", "@film.jsonl")
     with JobFile(tmp_path / "film.jsonl") as job:
         assert len(job) == frames
     session.run({"do": "key.delete", "id": document.timeline.keys[-1].id})
     assert session.document.timeline.length == 4.0  # as without keys
     session.run({"do": "timeline", "length": 9.0})
     session.run({"do": "key.add", "time": last, "pose": True})
-    assert session.document.timeline.length == 9.0  # somebody set it
+    assert session.document.timeline.length == 9.0  # it was set
 
 
 def test_keys_go_through_a_pose_file_to_the_bit(tmp_path):
@@ -409,9 +409,9 @@ def turned_by(degrees):
     return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
 
 
-@pytest.mark.parametrize("words, degrees", [("turn:90", 90), ("turn:-130", -130), ("turn:360", 360), ("turn", 360)])
-def test_a_turn_goes_evenly_about_the_middle_of_the_view(words, degrees):
-    moved, note = with_camera_moves(film(length=3.0), words, [])
+@pytest.mark.parametrize("text, degrees", [("turn:90", 90), ("turn:-130", -130), ("turn:360", 360), ("turn", 360)])
+def test_a_turn_goes_evenly_about_the_middle_of_the_view(text, degrees):
+    moved, note = with_camera_moves(film(length=3.0), text, [])
     start = view_camera(VIEW, 80, 60)
     for time in (0.0, 0.4, 1.5, 2.9, 3.0):
         way = np.stack([start.center, start.rotation[:, 2], -start.rotation[:, 1]]) @ turned_by(degrees * time / 3.0).T
@@ -431,9 +431,7 @@ def test_dolly_and_crane_end_where_their_words_say():
 
 
 def test_a_hand_that_holds_the_camera_sways_a_little_and_the_same_again():
-    held = [
-        with_camera_moves(film(length=4.0), words, [])[0] for words in ("hand-held:3", "hand-held:3", "hand-held:4")
-    ]
+    held = [with_camera_moves(film(length=4.0), text, [])[0] for text in ("hand-held:3", "hand-held:3", "hand-held:4")]
     ways = np.array([[looked(one, time) for time in np.linspace(0, 4, 33)] for one in held])
     np.testing.assert_array_equal(ways[0], ways[1])
     axes = np.degrees(np.arccos(np.clip(np.sum(ways[:, :, 1] * ways[:, :1, 1], axis=-1), -1, 1)))
@@ -472,10 +470,10 @@ def test_a_turn_stays_within_what_pictures_saw():
     np.testing.assert_allclose(looked(moved, 0.0), looked(moved, 4.0), atol=1e-6)
 
 
-@pytest.mark.parametrize("words", ["spin", "turn:x", "dolly:0", "", "follow"])
-def test_words_that_name_no_move_are_refused(words):
+@pytest.mark.parametrize("text", ["spin", "turn:x", "dolly:0", "", "follow"])
+def test_a_text_that_names_no_move_is_refused(text):
     with pytest.raises(ValueError, match="a move|1 to 100 letters|cage to follow"):
-        with_camera_moves(film(length=4.0), words, [])
+        with_camera_moves(film(length=4.0), text, [])
 
 
 def test_a_move_of_too_many_keys_is_refused():

@@ -233,7 +233,7 @@ def test_a_connection_that_breaks_while_a_object_is_moved(window: Window, editor
             window.wait("warpcage.store.status.connected", "the page is connected again")
         window.point("mouseReleased", begin + [30, 0], button="left")
         if again:
-            until(lambda: np.allclose(moved_by(), [30.0, 0.0], atol=1.0), "the server has what the hand did")
+            until(lambda: np.allclose(moved_by(), [30.0, 0.0], atol=1.0), "the server has the drag")
         else:
             window.wait("document.getElementById('toasts').textContent.includes('left out')", "it is said")
             np.testing.assert_allclose(moved_by(), [10.0, 0.0], atol=1.0)
@@ -244,16 +244,16 @@ def test_a_connection_that_breaks_while_a_object_is_moved(window: Window, editor
 #: Holds back what goes to the editor and the pictures that come, until `go()`: each wait is as long as the test likes.
 HOLD = """
 const kept = [], speed = document.getElementById("speed");
-const isHeld = (words) => window.held && String(words).includes(window.held);
-window.hold = (words) => (window.held = words);
+const isHeld = (text) => window.held && String(text).includes(window.held);
+window.hold = (text) => (window.held = text);
 window.go = () => ((window.held = null), kept.splice(0).forEach((one) => one()));
 const { fetch, createImageBitmap: decode } = window, { send } = WebSocket.prototype;
-const unheld = (words) => isHeld(words) && new Promise((on) => kept.push(on));
+const unheld = (text) => isHeld(text) && new Promise((on) => kept.push(on));
 window.fetch = async (...given) => (await unheld(given[0]), fetch(...given));
 window.createImageBitmap = async (...given) => (await unheld("picture"), decode(...given));
-WebSocket.prototype.send = function (words) {
-  if (isHeld(words)) kept.push(() => send.call(this, words));
-  else send.call(this, words);
+WebSocket.prototype.send = function (text) {
+  if (isHeld(text)) kept.push(() => send.call(this, text));
+  else send.call(this, text);
 };
 """
 

@@ -63,11 +63,11 @@ def folder(tmp_path_factory):
     warpcage.CameraFile([warpcage.CameraKey(camera)]).save(root / "cameras.json")
     for name in ("scene", "robot"):
         splats_in_box("cpu", count=30).save(root / f"{name}.ply")
-    words = "sweep room.npz --cage cage.obj --poses poses.npy --cameras cameras.json -o sweep.jsonl"
-    words += " --records webdataset --items-per-shard 2 --resolution 24"
+    arguments = "sweep room.npz --cage cage.obj --poses poses.npy --cameras cameras.json -o sweep.jsonl"
+    arguments += " --records webdataset --items-per-shard 2 --resolution 24"
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
-        assert main(words.split()) == 0
+        assert main(arguments.split()) == 0
     assert warpcage.run_jobs(root / "sweep.jsonl", root / "dataset", device="cpu").made == 3
     return root
 
@@ -90,7 +90,7 @@ def test_what_is_made_smaller_is_there():
 @pytest.mark.parametrize("page, code", blocks())
 def test_a_block_runs_as_it_stands(folder, given, monkeypatch, page, code):
     compile(code, page, "exec")
-    if any(word in code for word in ELSEWHERE):
+    if any(name in code for name in ELSEWHERE):
         return
     if "import webdataset" in code:
         pytest.importorskip("webdataset")

@@ -1,6 +1,6 @@
 """The editor: a page in the browser where a person poses cages and sees the scene follow."""
 # A `document` never changes: each of `commands` makes a new one, and undo keeps the old. `session` holds the newest,
-# saves it, tells listeners; `renderer` makes pictures; `server` and `clients` bring them to `page/`, modules unbuilt.
+# saves it, calls listeners; `renderer` makes pictures; `server` and `clients` bring them to `page/`, modules unbuilt.
 
 from ...package import lazy_exports
 
@@ -9,8 +9,8 @@ __getattr__, __dir__, __all__ = lazy_exports(
     {
         "commands": "COMMANDS moved_keys moved_rest preset_pose replace_cage run_command slide",
         "demo": "demo_files",
-        "checks": "MAX_ID MAX_PLACE frozen_vertices parsed_json",
-        "document": "Document Key MAIN Selection Settings SceneObject Timeline View checked_view new_edit",
+        ".films.checks": "MAX_ID MAX_PLACE frozen_vertices parsed_json",
+        ".films.document": "Document Key MAIN Selection Settings SceneObject Timeline View checked_view new_edit",
         "edit": "Editor",
         "exports": ("Film export_baked export_cage export_command export_film export_poses film_pictures"),
         "inspection": "Inspector inspect inspector",
@@ -20,7 +20,8 @@ __getattr__, __dir__, __all__ = lazy_exports(
         ),
         "pictures.scene": "Fields PosedScene same_pose view_camera",
         "server": "Server",
-        "session": "Session file_stamp free_session_path new_document read_session session_path write_session",
+        "session": "Session new_document",
+        ".films.session_file": "file_stamp free_session_path read_session session_path write_session",
         "steps.history": "DEPTH History read_history",
         "steps.losses": "losses",
         "objects": "field_files read_fields stage_of with_new_object with_stage",

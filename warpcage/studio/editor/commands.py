@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,11 @@ import numpy as np
 from ...cage import poses
 from ...cage.cage import Cage
 from ...coordinates.coordinates import deform_points
-from ...core.checks import AXES, checked_easing
-from ...core.names import LOOPS
+from ...core.checks import AXES, checked_easing, checked_flag, checked_number, checked_whole
+from ...core.names import LOOPS, checked_choice
 from ...edits.edits import MAX_EDITS
 from ...errors import InputError
-from . import objects
-from .checks import (
+from ..films.checks import (
     MAX_KEYS,
     MAX_NAME,
     MAX_PLACE,
@@ -25,33 +24,29 @@ from .checks import (
     MAX_SECONDS,
     MAX_VERTICES,
     changed_names,
-    checked_between,
-    checked_choice,
-    checked_flag,
     checked_items,
     checked_name,
     checked_triple,
     checked_vertices,
-    checked_whole,
     frozen_vertices,
 )
-from .document import (
+from ..films.document import (
     KINDS,
     Document,
     Edit,
     Key,
+    Message,
     Selection,
     Sliders,
+    Step,
     checked_selection,
     checked_settings,
     checked_walls,
     new_edit,
 )
+from . import objects
 
-Message = Mapping[str, Any]
-Step = tuple[str, Document]
-
-# A command takes the document and the message, JSON values that nobody has checked, and returns the step's name for
+# A command takes the document and the message, JSON values that were not checked, and returns the step's name for
 # undo and the new document; ValueError in one line for what cannot be. No lock is held and no file touched.
 
 #: Words for the kinds of edits in names.
@@ -102,13 +97,11 @@ def reset_pose(document: Document, message: Message) -> Step:
 def preset_pose(edit: Edit, chosen: Sequence[int] | None, message: Message) -> np.ndarray:
     """Vertices (v, 3) float64, read-only, of an edit's pose after a preset; see `warpcage.cage.poses` for the message.
     `edit`: as it was before the slider was touched. `chosen`: vertices that follow, None takes all."""
-    name = checked_choice(message["preset"], list(PRESETS), "preset")
-    amount = checked_between(message["amount"], -1440.0, 1440.0, "amount")
+    name = checked_choice(message["preset"], "preset", list(PRESETS))
+    amount = checked_number(message["amount"], "amount", -1440.0, 1440.0)
     if amount == PRESETS[name]:
         return edit.posed
-    limits = [
-        checked_between(x, -1e3, 1e3, "limits") for x in checked_items(message.get("limits", (0, 1)), 2, "limits")
-    ]
+    limits = [checked_number(x, "limits", -1e3, 1e3) for x in checked_items(message.get("limits", (0, 1)), 2, "limits")]
     options: dict[str, Any] = {"axis": message.get("axis", "z"), "limits": limits}
     if name == "bend":
         options["towards"] = message.get("towards", "z" if options["axis"] == "x" else "x")
@@ -143,13 +136,13 @@ def slide(edit: Edit, chosen: tuple[int, ...] | None, message: Message) -> Edit:
 
 def add_edit(document: Document, message: Message) -> Step:
     """A new edit with a simple cage between two corners; a box may have axes of its own, in which its corners are."""
-    kind = checked_choice(message.get("kind", "move"), KINDS, "kind")
+    kind = checked_choice(message.get("kind", "move"), "kind", KINDS)
     low, high = (frozen_vertices([message[name]])[0] for name in ("lower", "upper"))
     shape, center, size = message.get("shape", "box"), (low + high) / 2, high - low
     if not (size > 0).all():
         raise InputError("a cage needs a lower corner below its upper corner")
     if shape == "box":
-        cage = Cage.box(low, high, segments=checked_whole(message.get("segments", 2), 1, 8, "segments"))
+        cage = Cage.box(low, high, segments=checked_whole(message.get("segments", 2), "segments", 1, 8))
         cage = cage.with_vertices(cage.vertices @ _checked_axes(message.get("axes", np.eye(3).tolist())))
     elif shape == "cylinder":
         cage = Cage.cylinder(center, 0.5 * float(np.hypot(size[0], size[1])), float(size[2]), rings=3)
@@ -176,7 +169,7 @@ def box_selection(document: Document, message: Message) -> Step:
         raise InputError("nothing is selected: select the vertices to put a box around")
     low, high = edit.rest[chosen].min(axis=0), edit.rest[chosen].max(axis=0)
     size = float(np.ptp(edit.rest, axis=0).max())
-    margin = checked_between(message.get("margin", 0.02), 0.0, 1.0, "margin") * size
+    margin = checked_number(message.get("margin", 0.02), "margin", 0.0, 1.0) * size
     cage = Cage.box(low - max(margin, 1e-4 * size), high + max(margin, 1e-4 * size))
     return with_new_edit(document, cage, object_id=edit.object_id)
 
@@ -184,8 +177,8 @@ def box_selection(document: Document, message: Message) -> Step:
 def mirror_edit(document: Document, message: Message) -> Step:
     """A new edit that mirrors another one, its pose and those in keys, across the plane where an axis has a value."""
     edit = document.edit(message["edit"])
-    axis = AXES.index(checked_choice(message["axis"], list(AXES), "axis"))
-    place = checked_between(message["place"], -MAX_PLACE, MAX_PLACE, "place")
+    axis = AXES.index(checked_choice(message["axis"], "axis", list(AXES)))
+    place = checked_number(message["place"], "place", -MAX_PLACE, MAX_PLACE)
 
     def mirrored(vertices: np.ndarray) -> np.ndarray:
         turned = vertices.copy()
@@ -241,7 +234,7 @@ def change_edit(document: Document, message: Message) -> Step:
     if "name" in message:
         changes["name"] = checked_name(message["name"])
     if "kind" in message:
-        changes["kind"] = checked_choice(message["kind"], KINDS, "kind")
+        changes["kind"] = checked_choice(message["kind"], "kind", KINDS)
     if "visible" in message:
         changes["visible"] = checked_flag(message["visible"], "visible")
     if not changes:
@@ -321,7 +314,7 @@ def moved_keys(document: Document, before: Edit) -> Document:
 
 def add_key(document: Document, message: Message) -> Step:
     """Keep the pose, the camera or both at a time. A key that is there is filled up."""
-    time = checked_between(message["time"], 0.0, MAX_SECONDS, "time")
+    time = checked_number(message["time"], "time", 0.0, MAX_SECONDS)
     near = 0.5 / document.timeline.fps
     key = next((key for key in document.timeline.keys if abs(key.time - time) < near), None)
     if key is None:
@@ -341,7 +334,7 @@ def change_key(document: Document, message: Message) -> Step:
     """Move a key in time, rename it, ease it otherwise, or take the present pose or camera for it."""
     key, changes = document.key(message["id"]), {}
     if "time" in message:
-        changes["time"] = checked_between(message["time"], 0.0, MAX_SECONDS, "time")
+        changes["time"] = checked_number(message["time"], "time", 0.0, MAX_SECONDS)
     if "easing" in message:
         changes["easing"] = checked_easing(message["easing"], "easing")
     if "name" in message:
@@ -365,11 +358,11 @@ def change_timeline(document: Document, message: Message) -> Step:
     changes: dict[str, Any] = {}
     if "length" in message:
         last = max((key.time for key in document.timeline.keys), default=0.0)
-        changes["length"] = checked_between(message["length"], last, MAX_SECONDS, "length (not before the last key)")
+        changes["length"] = checked_number(message["length"], "length (not before the last key)", last, MAX_SECONDS)
     if "fps" in message:
-        changes["fps"] = checked_between(message["fps"], 0.01, MAX_RATE, "fps")
+        changes["fps"] = checked_number(message["fps"], "fps", 0.01, MAX_RATE)
     if "loop" in message:
-        changes["loop"] = checked_choice(message["loop"], LOOPS, "loop")
+        changes["loop"] = checked_choice(message["loop"], "loop", LOOPS)
     if not changes:
         raise InputError("nothing to change: give length, fps or loop")
     follows = document.timeline.follows_keys and "length" not in changes
@@ -382,7 +375,7 @@ def free_name(document: Document) -> str:
     return next(name for name in (f"key {number}" for number in range(1, MAX_KEYS + 2)) if name not in names)
 
 
-#: Commands by the word in `do`.
+#: Commands by their names, in `do`.
 COMMANDS: dict[str, Callable[[Document, Message], Step]] = {
     "select": select,
     "settings": change_settings,
@@ -448,9 +441,7 @@ def _filled(document: Document, key: Key, message: Message) -> Key:
     if checked_flag(message.get("pose", False), "pose"):
         key = dataclasses.replace(key, poses={edit.id: edit.posed for edit in document.edits} or None)
         if document.is_staged or any(one.places is not None for one in document.timeline.keys):
-            key = dataclasses.replace(
-                key, places={scene_object.id: scene_object.place for scene_object in document.objects}
-            )
+            key = dataclasses.replace(key, places={one.id: one.place for one in document.objects})
     if checked_flag(message.get("camera", False), "camera"):
         key = dataclasses.replace(key, view=document.view)
     return key

@@ -8,6 +8,7 @@ import dataclasses
 import html
 import os
 import pathlib
+import signal
 import threading
 import warnings
 from collections.abc import Sequence
@@ -19,9 +20,10 @@ from ...errors import InputError, MissingPackageError
 from ...field.voxel_field import VoxelField
 from ...render.surface_mesh import load_object
 from ...splats.splat_field import AnyField, SplatField, load_field
-from .document import Document
+from ..films.document import Document
+from ..films.session_file import file_stamp, object_name, read_kept, session_path
 from .objects import is_stage, read_fields, stage_field, with_stage
-from .session import Session, file_stamp, new_document, object_name, read_kept, session_path, view_of_box
+from .session import Session, new_document, view_of_box
 from .steps.history import read_history
 
 #: Cells of a new session's lattices along the longest side of a cage, on a CPU and on CUDA.
@@ -72,9 +74,22 @@ class Editor:
         return [edit.posed_cage for edit in self.document.edits]
 
     def wait(self) -> None:
-        """Wait until the editor is closed, or the program is interrupted."""
-        while not self._closed.wait(0.2):
-            pass
+        """Wait until the editor is closed; an interrupt (Ctrl+C) raises KeyboardInterrupt."""
+        # Raised inside a callback, such as a destructor, a KeyboardInterrupt would be lost: it is raised here instead.
+        # The handler takes no lock, as it may run while this thread holds that of the event.
+        interrupts: list[int] = []
+        own = threading.current_thread() is threading.main_thread()  # the only thread that can set handlers
+        own = own and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        if own:
+            signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
+        try:
+            while not self._closed.wait(0.2) and not interrupts:
+                pass
+        finally:
+            if own:
+                signal.signal(signal.SIGINT, signal.default_int_handler)
+        if interrupts:
+            raise KeyboardInterrupt
 
     def close(self) -> None:
         """Save the session and end the server. Calling it again does nothing."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...cage.cage import Cage
-from ...core.checks import checked_whole
+from ...core.checks import checked_flag, checked_whole
 from ...core.files import PathLike
 from ...core.names import TRANSPARENT
 from ...core.overlap import BackgroundWriter
@@ -24,13 +24,12 @@ from ...fitting.splats.from_voxels import to_splats
 from ...splats.io.formats import format_to_write
 from ...splats.splat_field import AnyField, SplatField, field_size
 from ...view.camera import Camera
-from ...view.film import checked_rate, require_clear_film, write_film
 from ...view.pictures import picture_cuts, write_png
 from ..films import film as films
+from ..films.document import MAIN, Document
 from ..films.folder import atomic_folder, checked_film_path
 from ..films.render import Look, Scene
-from .checks import checked_flag
-from .document import MAIN, Document
+from ..films.video import checked_rate, require_clear_film, write_film
 from .pictures.scene import Fields, PosedScene, view_camera
 from .timeline import document_at, frame_rate, frame_times, pose_file
 
@@ -59,7 +58,7 @@ class Film:
 
 
 def _silent(share: float | None, text: str) -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 def export_film(
@@ -91,7 +90,7 @@ def film_look(document: Document, field: AnyField, film: Film) -> Look:
     settings = document.settings
     background = TRANSPARENT if film.transparent else settings.background
     fill = settings.fill and background is None and field.background_model is not None and not document.is_staged
-    return Look(background, fill, settings.supersampling, overlay=film.overlay)
+    return Look(background, settings.supersampling, fill=fill, overlay=film.overlay)
 
 
 def film_pictures(
@@ -144,7 +143,7 @@ def export_baked(document: Document, field: AnyField | Fields, path: PathLike, r
     """Write the scene, deformed by the poses of now, as a field of its own, whole or not at all; returns that field.
     Without visible edits it is the field. A file of voxels ends in .npz. What `report` raises ends the work."""
     fields = Fields.of(field)
-    kinds = {type(fields.field(scene_object)) for scene_object in document.objects if scene_object.visible}
+    kinds = {type(fields.field(one)) for one in document.objects if one.visible}
     if SplatField in kinds:
         format_to_write(path)
     elif pathlib.Path(path).suffix.lower() != ".npz":
@@ -169,13 +168,12 @@ def export_command(
     """The command, one line for a shell, that makes the film of a session without the editor."""
     film = film or Film()
     paths = [os.fspath(path) for path in (field, session, output)]
-    # a name that begins like an option is taken for one
-    field_word, session_word, output_word = (f"./{path}" if path.startswith("-") else path for path in paths)
-    words = ["warpcage", "animate", field_word, "--session", session_word, "-o", output_word]
-    words += ["--size", str(film.width), str(film.height)]
-    words += ["--overlay"] * film.overlay + ["--transparent"] * film.transparent
-    words += ["--scene-scale", repr(float(scene_scale))] * (scene_scale != 1.0)
-    return shlex.join(words)
+    scene, kept, film_path = (f"./{path}" if path.startswith("-") else path for path in paths)  # else an option
+    arguments = ["warpcage", "animate", scene, "--session", kept, "-o", film_path]
+    arguments += ["--size", str(film.width), str(film.height)]
+    arguments += ["--overlay"] * film.overlay + ["--transparent"] * film.transparent
+    arguments += ["--scene-scale", repr(float(scene_scale))] * (scene_scale != 1.0)
+    return shlex.join(arguments)
 
 
 def requested_film(message: dict[str, Any]) -> Film:

@@ -21,15 +21,15 @@ from ...mesh.queries import inside_mesh, intersecting_faces
 from ...mesh.validity import first_problem
 from ...render.surface_mesh import AnyObject, SurfaceMesh
 from ...select.selection import visible_mask
-from .checks import MAX_LINE
-from .document import Document, Edit
+from ..films.checks import MAX_LINE
+from ..films.document import Document, Edit
 from .session import Session
 
 #: About how many samples of the map are taken in a posed cage, and of the visible nodes for the share inside: fewer
-#: than `Cage.check` takes, so that a check ends while the hand still rests.
+#: than `Cage.check` takes, so that a check ends before the next drag.
 POSE_SAMPLES, NODE_SAMPLES = 300, 2000
 
-#: Cells along the longest side of a mesh in which its surface is, and points of it that tell which they are.
+#: Cells along the longest side of a mesh in which its surface is, and points of it by which they are found.
 MESH_CELLS, MESH_SAMPLES = 100, 200_000
 
 #: Points on all faces of a cage at most, at which it is asked whether matter passes through.
@@ -191,7 +191,7 @@ def _lines(
 #: Seconds from a change to the check of the cage.
 CHECK_SECONDS = 0.3
 
-#: What is said of a cage that nobody has looked at.
+#: The section of a cage before its first check.
 NOTHING_KNOWN = {
     "problem": "",
     "crossing_faces": [],
@@ -207,10 +207,10 @@ _log = logging.getLogger(__name__)
 
 class Checker:
     """Checks the active edit, one check at a time, in another thread. All else is in the thread of the server's loop.
-    While `busy` (the hand moves or the film plays) the check waits; `tell` is called when the section has changed."""
+    While `busy` (a drag, or the film plays) the check waits; `notify` is called when the section has changed."""
 
-    def __init__(self, session: Session, busy: Callable[[], bool], tell: Callable[[], None]):
-        self._session, self._busy, self._tell = session, busy, tell
+    def __init__(self, session: Session, busy: Callable[[], bool], notify: Callable[[], None]):
+        self._session, self._busy, self._notify = session, busy, notify
         self._timer: asyncio.TimerHandle | None = None
         self._task: asyncio.Task | None = None
         self._known: tuple[object, ...] = ()  # what the section says something of
@@ -246,11 +246,11 @@ class Checker:
             else:
                 before = self.section if self.section and self.section["edit"] == number else NOTHING_KNOWN
                 self.section = {**before, "edit": number, "pending": True}
-                self._tell()
+                self._notify()
                 found = await asyncio.get_running_loop().run_in_executor(None, self._look, document, number)
             if _same(_seen(document), _seen(self._session.document)):  # otherwise another check is on its way
                 self.section, self._known = found, _seen(document)
-                self._tell()
+                self._notify()
         finally:
             self._task = None
 

@@ -6,14 +6,14 @@ import dataclasses
 import os
 import pathlib
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...cage.cage import Cage
 from ...core.arrays import box_corners
-from ...core.checks import listed
+from ...core.checks import checked_flag, listed
 from ...core.names import Easing, counted
 from ...deform.stage import Stage
 from ...edits.edits import CageEdit
@@ -27,17 +27,16 @@ from ...select.selection import NodeSelection
 from ...splats.io import is_splat_file
 from ...splats.splat_field import AnyField
 from ...view.motion import axis_rotation
-from .checks import (
+from ..films.checks import (
     MAX_KEYS,
     MAX_OBJECTS,
     RESOLUTIONS,
     changed_names,
     checked_click,
-    checked_flag,
     checked_name,
     checked_triple,
 )
-from .document import MAIN, Document, Edit, Key, SceneObject, Selection, checked_place, new_edit
+from ..films.document import MAIN, Document, Edit, Key, Message, SceneObject, Selection, Step, checked_place, new_edit
 from .pictures.scene import Fields, PosedScene, clicked_pixel
 from .timeline import place_files
 
@@ -46,9 +45,6 @@ if TYPE_CHECKING:
 
 #: How far a new object stands from the others, as a share of the larger size.
 BESIDE = 0.05
-
-Message = Mapping[str, Any]
-Step = tuple[str, Document]
 
 # -- Commands, as those of `commands`: from a document and a message to the step's name and the new document
 
@@ -84,10 +80,8 @@ def change_object(document: Document, message: Message) -> Step:
 
 def copy_object(document: Document, message: Message) -> Step:
     """A second object of the same field, with its edits, poses and keys, moved by an offset."""
-    scene_object, offset = (
-        document.scene_object(message["id"]),
-        np.array(checked_triple(message.get("offset", (0, 0, 0)), "offset")),
-    )
+    scene_object = document.scene_object(message["id"])
+    offset = np.array(checked_triple(message.get("offset", (0, 0, 0)), "offset"))
 
     def moved(place: Place) -> Place:
         return dataclasses.replace(place, position=np.asarray(place.position) + offset)
@@ -126,7 +120,7 @@ def remove_object(document: Document, message: Message) -> Step:
         places = None if key.places is None else {n: place for n, place in key.places.items() if n != gone.id}
         key = dataclasses.replace(key, poses=poses, places=places or None)
         keys += [] if key.is_empty else [key]
-    objects = tuple(scene_object for scene_object in document.objects if scene_object.id != gone.id)
+    objects = tuple(one for one in document.objects if one.id != gone.id)
     edits = tuple(edit for edit in document.edits if edit.object_id != gone.id)
     document = dataclasses.replace(document, objects=objects, edits=edits).with_timeline(keys=tuple(keys))
     if document.selection.object_id == gone.id:
@@ -147,7 +141,7 @@ def with_new_object(document: Document, name: str, file: str | None, place: Plac
     if len(document.objects) >= MAX_OBJECTS:
         raise InputError(f"a scene takes at most {MAX_OBJECTS} objects: remove one first")
     number = document.free_id
-    name = free_name(checked_name(name), [scene_object.name for scene_object in document.objects])
+    name = free_name(checked_name(name), [one.name for one in document.objects])
     objects = (*document.objects, SceneObject(number, name, file, place))
     selection = Selection(None, document.selection.mode, object_id=number)
     return f"add {name}", dataclasses.replace(document, objects=objects, selection=selection, next_id=number + 1)
@@ -164,7 +158,7 @@ def with_place(document: Document, number: int, matrix: Any) -> Document:
 
 
 def locked_error(scene_object: SceneObject) -> InputError:
-    """What is said where a hand is kept from an object."""
+    """The error where a locked object would be moved."""
     return InputError(f"{scene_object.name!r} is locked: unlock it first")
 
 
@@ -245,17 +239,17 @@ def with_stage(document: Document, path: pathlib.Path, folder: pathlib.Path) -> 
     for entry in read_stage_file(path):
         places: PlaceFile = entry["place"]
         first = not objects
-        scene_object = MAIN if first else number
+        object_id = MAIN if first else number
         number += not first
         file = None if first else pathlib.PurePath(os.path.relpath(path.parent / entry["field"], folder)).as_posix()
         name = free_name(checked_name(entry["name"]), [other.name for other in objects])
         place = checked_place(dataclasses.asdict(places.at(0.0)))
-        objects.append(SceneObject(scene_object, name, file, place, not entry.get("hidden", False)))
+        objects.append(SceneObject(object_id, name, file, place, not entry.get("hidden", False)))
         if places.length > 0.0:
             loop, length = places.loop or loop, max(length, places.length)
             for time, at in places.places.items():
                 easing = places.easings.get(time, "smooth")
-                number += _hold(keys, number, scene_object, time, at, easing)
+                number += _hold(keys, number, object_id, time, at, easing)
         if "deformation" in entry:
             options, cages, poses = read_deformation(entry["deformation"])
             given = {name: options[name] for name in ("coordinates", "resolution", "density") if options.get(name)}
@@ -269,7 +263,7 @@ def with_stage(document: Document, path: pathlib.Path, folder: pathlib.Path) -> 
                 cells = min(max(given.get("resolution", settings.resolution), RESOLUTIONS[0]), RESOLUTIONS[1])
                 settings = dataclasses.replace(settings, **{**given, "resolution": cells})
             for cage, posed in zip(cages, poses, strict=True):
-                edits.append(_edit(number, scene_object, cage, posed, len(edits) + 1))
+                edits.append(_edit(number, object_id, cage, posed, len(edits) + 1))
                 number += 1
     if len(keys) > MAX_KEYS:
         raise InputError(f"{path}: a film has at most {MAX_KEYS} keys, this one would have {len(keys)}")
@@ -314,7 +308,7 @@ def stage_of(document: Document, fields: Fields, main: pathlib.Path | None, fold
     """The stage of a document: objects, places with their keys, cages and the poses of now.
     main: the file of the session's own field; folder: the session's, which other files are seen from."""
     settings = dataclasses.replace(document.settings, mode="pose")
-    shown = tuple(dataclasses.replace(scene_object, visible=True) for scene_object in document.objects)
+    shown = tuple(dataclasses.replace(one, visible=True) for one in document.objects)
     scene = PosedScene(fields)
     scene.prepare(dataclasses.replace(document, settings=settings, objects=shown))
     keyed, stage = place_files(document), Stage(device=fields.main.device)
@@ -394,5 +388,5 @@ class ObjectTasks:
 def require_alone(document: Document, what: str) -> None:
     """Raise ValueError where a scene holds other objects, for what goes with a field alone."""
     if document.is_staged:
-        names = listed([scene_object.name for scene_object in document.objects])
+        names = listed([one.name for one in document.objects])
         raise InputError(f"{what} goes with a field in its own place, and this session holds {names}")

@@ -13,21 +13,14 @@ from typing import Any
 import numpy as np
 from aiohttp import WSMsgType, web
 
+from ...coordinate_kinds import COORDINATE_KINDS
+from ...core.checks import checked_flag, checked_number, checked_whole
 from ...core.names import error_line
 from ...errors import InputError
 from ...field.voxel_field import VoxelField
-from .checks import (
-    MAX_LINE,
-    MAX_SECONDS,
-    checked_between,
-    checked_flag,
-    checked_name,
-    checked_vertices,
-    checked_whole,
-    parsed_json,
-)
+from ..films.checks import MAX_LINE, MAX_SECONDS, checked_name, checked_vertices, parsed_json
+from ..films.document import Edit, checked_view
 from .commands import COMMANDS
-from .document import Edit, checked_view
 from .inspection import Checker
 from .pictures.renderer import Renderer, Request
 from .session import PARTS, Session
@@ -51,7 +44,7 @@ SAVE_SECONDS = 1.0
 #: What messages may cause, with values that are missing, wrong or huge, and files that are not as they should be.
 EXPECTED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, OSError, MemoryError)
 
-#: What a page is told that moves on although its step has ended.
+#: Notice for a page that goes on with a step that has ended.
 STRAYED = "Another page, or another command, changed the scene meanwhile: this move has ended."
 
 _log = logging.getLogger(__name__)
@@ -79,7 +72,7 @@ class Server:
         self.lookers: set[Client] = set()  # pages that turn the view
         self._changed: set[str] = set()
         self._flush: asyncio.Handle | None = None
-        self._told: dict[tuple[int, int], np.ndarray] = {}  # vertices that pages know, by kind and edit
+        self._sent: dict[tuple[int, int], np.ndarray] = {}  # vertices that pages know, by kind and edit
         self._frame: tuple[int, bytes] | None = None
 
     async def start(self) -> str:
@@ -174,14 +167,14 @@ class Server:
             async for message in socket:
                 if message.type in (WSMsgType.TEXT, WSMsgType.BINARY):
                     await client.keep_pace(len(message.data))
-                    await self._hear(client, message.data)
+                    await self._take(client, message.data)
         finally:
             self._forget(client)
             writer.cancel()
             await asyncio.gather(writer, return_exceptions=True)
 
     def _forget(self, client: Client) -> None:
-        """A page has gone. What its hand had moved stays."""
+        """A page has gone. What it had moved stays."""
         del self.clients[client.number]
         self.session.end_gesture(client)
         self.lookers.discard(client)
@@ -193,7 +186,7 @@ class Server:
             self.player.stop()
         self._on_change({"session", "view"})
 
-    async def _hear(self, client: Client, data: str | bytes) -> None:
+    async def _take(self, client: Client, data: str | bytes) -> None:
         """Take one message of a page."""
         if isinstance(data, bytes):
             try:
@@ -205,10 +198,10 @@ class Server:
         try:
             message = parsed_json(data)
             if not isinstance(message, dict) or not isinstance(message.get("do"), str):
-                raise InputError('a message must be a dictionary with a word "do"')
+                raise InputError('a message must be a dictionary with a command "do"')
             number = message.get("n")
             if number is not None:
-                checked_whole(number, 0, 2**53, "n")
+                checked_whole(number, "n", 0, 2**53)
         except ValueError as error:
             await client.mistake(f"a message makes no sense: {error_line(error, MAX_LINE, folders=False)}")
             return
@@ -220,31 +213,31 @@ class Server:
             answer = {"result": result}
             client.mistakes = 0
         except Exception as error:
-            answer = {"error": told(error)}
+            answer = {"error": error_text(error)}
         if number is not None:
-            client.tell({"type": "reply", "n": number, **answer})
+            client.send({"type": "reply", "n": number, **answer})
         elif "error" in answer:
             await client.mistake(answer["error"])
 
     def _go_on(self, client: Client, number: int | None, work: Coroutine[Any, Any, Any]) -> None:
-        """Carry out what takes a while, and hear the page meanwhile."""
+        """Carry out what takes a while, and take further messages meanwhile."""
 
         async def answer() -> None:
             try:
-                said = {"type": "reply", "n": number, "result": await work}
+                reply = {"type": "reply", "n": number, "result": await work}
             except Exception as error:
-                said = {"type": "reply", "n": number, "error": told(error)}
+                reply = {"type": "reply", "n": number, "error": error_text(error)}
             if number is not None:
-                client.tell(said)
-            elif "error" in said:
-                client.notice("error", said["error"])
+                client.send(reply)
+            elif "error" in reply:
+                client.notice("error", reply["error"])
 
         task = asyncio.create_task(answer())
         client.slow.add(task)
         task.add_done_callback(client.slow.discard)
 
     def _move(self, client: Client, data: bytes) -> None:
-        """Vertices that a hand moves."""
+        """Vertices that are dragged."""
         kind, sequence, edit, vertices = unpacked_vertices(data)
         self._touched(client)
         self._mover = client
@@ -271,7 +264,7 @@ class Server:
             self._on_change({"view"})
             return None
         if do == "seen":
-            client.saw(checked_whole(message["frame"], 0, 2**53, "frame"))
+            client.saw(checked_whole(message["frame"], "frame", 0, 2**53))
             return None
         if do in self.tasks.commands:
             if len(client.slow) >= MAX_SLOW:
@@ -310,7 +303,7 @@ class Server:
         elif do == "redo":
             return session.redo()
         elif do == "time":
-            session.scrub(checked_between(message["time"], 0.0, MAX_SECONDS, "time"))
+            session.scrub(checked_number(message["time"], "time", 0.0, MAX_SECONDS))
         elif do == "play":
             if checked_flag(message["on"], "on"):
                 self.player.play()
@@ -321,7 +314,7 @@ class Server:
         return None
 
     def _begin(self, client: Client, message: dict[str, Any]) -> None:
-        """A hand begins to move a cage, or an object."""
+        """A drag of a cage or an object begins."""
         client.strayed = False
         if message["do"] == "place.begin":
             self.session.begin_placing(client, message["object"], checked_name(message.get("label", "move")))
@@ -335,16 +328,16 @@ class Server:
         self.session.begin_gesture(client, edit.id, "preset", chosen)
 
     def _place(self, client: Client, message: dict[str, Any]) -> None:
-        """A hand moves an object."""
+        """An object is dragged."""
         if self.session.place(client, message["object"], message["matrix"]):
-            client.sequence = checked_whole(message["seq"], 0, 2**32 - 1, "seq")
+            client.sequence = checked_whole(message["seq"], "seq", 0, 2**32 - 1)
         else:
             self._stray(client)
 
     async def _pick(self, message: dict[str, Any]) -> dict[str, int | None]:
         """Which object a click meets, in the scene of the last picture."""
-        across, down = (checked_between(message[name], 0.0, 1.0, name) for name in ("across", "down"))
-        aspect, view = checked_between(message["aspect"], 0.05, 20.0, "aspect"), self.session.document.view
+        across, down = (checked_number(message[name], name, 0.0, 1.0) for name in ("across", "down"))
+        aspect, view = checked_number(message["aspect"], "aspect", 0.05, 20.0), self.session.document.view
         answer = self.renderer.ask(lambda scene: scene.object_at(view, across, down, aspect))
         return {"object": await asyncio.wrap_future(answer)}
 
@@ -352,7 +345,7 @@ class Server:
         """A page looks from somewhere else."""
         view, moving = checked_view(message), checked_flag(message.get("moving", False), "moving")
         if "seq" in message:
-            client.sequence = checked_whole(message["seq"], 0, 2**32 - 1, "seq")
+            client.sequence = checked_whole(message["seq"], "seq", 0, 2**32 - 1)
         (self.lookers.add if moving else self.lookers.discard)(client)
         self.session.look(view)
 
@@ -364,13 +357,13 @@ class Server:
     # -- What changed
 
     def _notify(self, text: str) -> None:
-        """Tell all pages a line that nobody should miss."""
+        """Show a warning in all pages."""
         for client in self.clients.values():
             client.notice("warning", text)
 
     @property
     def _moving(self) -> bool:
-        """Whether a hand moves a cage, or the film plays."""
+        """Whether something is dragged, or the film plays."""
         return self.session.moving or self.player.playing
 
     @property
@@ -397,21 +390,21 @@ class Server:
         named = sorted(changed - {"vertices", "places"})
         sections = {name: json.dumps(self._section(name), allow_nan=False) for name in named}
         if "edits" in sections:
-            self._told = {key: array for edit in self._edits for key, array in _places(edit)}
+            self._sent = {key: array for edit in self._edits for key, array in _places(edit)}
         if sections:
             for client in self.clients.values():
-                client.tell_sections(sections)
+                client.send_sections(sections)
 
     def _send_vertices(self) -> None:
-        """Tell pages where the vertices are that have moved, but for the page whose hand moves them."""
+        """Send the vertices that have moved, but not to the page that drags them."""
         for edit in self._edits:
             for (kind, number), array in _places(edit):
-                if self._told.get((kind, number)) is not array:
-                    self._told[kind, number] = array
+                if self._sent.get((kind, number)) is not array:
+                    self._sent[kind, number] = array
                     message = packed_vertices(kind, number, array)
                     for client in self.clients.values():
                         if client is not self._mover:
-                            client.tell_vertices(kind, number, message)
+                            client.send_vertices(kind, number, message)
 
     def _section(self, name: str) -> Any:
         session = self.session
@@ -427,6 +420,7 @@ class Server:
                 | {"up": [float(x) for x in field.up], "layers": field.background_model is not None, **count},
                 "folder": str(self.folder),
                 "device": str(field.device),
+                "coordinates": [[kind.name, kind.label, kind.help] for kind in COORDINATE_KINDS.values()],
                 "saved": session.saved,
                 "save_error": session.save_error,
                 "pages": len(self.clients),
@@ -486,8 +480,8 @@ class Server:
                 self._on_change({"session"})
 
 
-def told(error: Exception) -> str:
-    """What a page is told of an error. One that no input should cause is logged too."""
+def error_text(error: Exception) -> str:
+    """A line on an error for a page. One that no input should cause is logged too."""
     line = shown(error_line(error, MAX_LINE, folders=False))
     if not isinstance(error, EXPECTED):
         _log.exception("a page's command failed", exc_info=error)

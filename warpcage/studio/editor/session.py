@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import datetime
-import json
 import logging
-import os
 import pathlib
 import threading
 from collections.abc import Callable, Iterable
@@ -17,19 +14,16 @@ import numpy as np
 
 from ...cage.cage import Cage
 from ...core.arrays import box_corners
-from ...core.checks import listed
-from ...core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
-from ...core.names import error_line, renamed_keys
+from ...core.files import PathLike
+from ...core.names import error_line
 from ...errors import InputError
 from ...render.surface_mesh import AnyObject, object_size
 from ...splats.splat_field import AnyField
 from ...view.camera import framing_orbit
 from ...view.motion import frame_count
-from . import commands, objects, timeline
-from .checks import MAX_LINE, MAX_NAME, frozen_vertices
-from .document import (
+from ..films.checks import MAX_LINE, frozen_vertices
+from ..films.document import (
     MAIN,
-    OLD_KEYS,
     Document,
     Edit,
     SceneObject,
@@ -42,6 +36,8 @@ from .document import (
     new_edit,
     selection_json,
 )
+from ..films.session_file import Export, Stamp, file_stamp, free_session_path, write_session
+from . import commands, objects, timeline
 from .pictures.scene import Fields
 from .steps.history import History, seen_as
 from .steps.losses import losses
@@ -50,141 +46,7 @@ from .steps.losses import losses
 SCRUB = "scrub"
 
 
-#: Version 2 has several objects, 3 has them and fragments by these names; all are read.
-FORMAT, VERSION = "warpcage session", 3
-
-#: How the name of a field's session ends: `lego.npz` has `lego.session.json`.
-ENDING = ".session.json"
-
-#: What tells versions of a file apart: its time in nanoseconds, its bytes and its number.
-Stamp = tuple[int, int, int]
-
-
-def session_path(field: PathLike) -> pathlib.Path:
-    """Where the session of a field's file is kept: beside it."""
-    path = pathlib.Path(field)
-    return path.with_name(path.stem + ENDING)
-
-
-def free_session_path(path: pathlib.Path) -> pathlib.Path:
-    """The first name of NAME.1.session.json, NAME.2.session.json, ... that no file beside a session's file has."""
-    stem = path.name.removesuffix(ENDING) if path.name.endswith(ENDING) else path.stem
-    number = 1
-    while os.path.lexists(other := path.with_name(f"{stem}.{number}{ENDING}")):
-        number += 1
-    return other
-
-
-def file_stamp(path: pathlib.Path) -> Stamp | None:
-    """What tells versions of a file apart. None where there is no file."""
-    try:
-        status = os.stat(path)
-    except FileNotFoundError:
-        return None
-    return status.st_mtime_ns, status.st_size, status.st_ino
-
-
-@dataclasses.dataclass(frozen=True)
-class Export:
-    """A file, or a folder of pictures, that a session wrote into its folder."""
-
-    name: str
-    text: str  # what it is, in a line
-    size: int | None  # bytes of a file
-    time: int | None  # when it was changed last, nanoseconds, by which another file of its name is known
-
-    @classmethod
-    def of(cls, path: pathlib.Path, text: str) -> Export:
-        """What is noted of a file that was just written."""
-        stamp = None if path.is_dir() else file_stamp(path)
-        return cls(path.name, text, *((None, None) if stamp is None else (stamp[1], stamp[0])))
-
-    def is_there(self, path: pathlib.Path) -> bool:
-        """Whether a path is still that file, or a folder where it was one."""
-        return path.is_dir() if self.size is None else path.is_file() and Export.of(path, self.text) == self
-
-
-#: Exports that a session's file keeps, the newest.
-MAX_EXPORTS = 40
-
-
-def read_exports(content: Any) -> tuple[Export, ...]:
-    """The exports of a session's file, the oldest first; what is no export is left out."""
-    exports = []
-    for entry in content[-MAX_EXPORTS:] if isinstance(content, list) else ():
-        with contextlib.suppress(*DAMAGED, ValueError):
-            one = Export(**entry)
-            if all(isinstance(text, str) for text in (one.name, one.text)):
-                exports.append(dataclasses.replace(one, text=one.text[:MAX_LINE]))
-    return tuple(exports)
-
-
-def write_session(
-    path: PathLike,
-    document: Document,
-    field: AnyField,
-    field_name: str | None,
-    history: dict[str, Any] | None = None,
-    exports: Iterable[Export] = (),
-) -> None:
-    """Write a session's file, whole or not at all; the name of a field without a file is None.
-    history: its steps, see `History.to_json`; exports: what it wrote into its folder."""
-    content = {
-        "format": FORMAT,
-        "version": VERSION,
-        "field": {"name": field_name, "bounds": field.bounds.tolist()},
-        "document": document.to_json("scene" if field_name is None else object_name(field_name)),
-    } | ({} if history is None else {"history": history})
-    if exports:
-        content["exports"] = [dataclasses.asdict(export) for export in exports]
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def read_session(path: PathLike, field: AnyField | None = None) -> Document:
-    """Read a session's file, which should belong to the field; None takes any."""
-    return read_kept(path, field)[0]
-
-
-def read_kept(path: PathLike, field: AnyField | None = None) -> tuple[Document, Any, tuple[Export, ...]]:
-    """As `read_session`, what the file holds of its steps, see `read_history`, None where it holds nothing, and its
-    exports."""
-    path = require_file(path, "session file")
-    try:
-        content: Any = read_json(path, "session file")
-        if content.get("format") != FORMAT:
-            raise InputError(f"it is no {FORMAT}")
-        version = content.get("version")
-        if type(version) is not int or version < 1:
-            raise InputError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
-        if version > VERSION:
-            raise InputError(f"its version is {version}, this warpcage reads up to {VERSION}: upgrade")
-        if field is not None and content["field"]["bounds"] != field.bounds.tolist():
-            name = listed([str(content["field"].get("name"))])
-            raise InputError(f"it belongs to another field, {name}, with other bounds")
-        document = _named(Document.from_json(content["document"]), content)
-        return document, content.get("history"), read_exports(content.get("exports"))
-    except DAMAGED as error:
-        raise InputError(f"{path}: {damage('session file', error)}") from None
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def _named(document: Document, content: Any) -> Document:
-    """The document of a file's content; one that says nothing of objects names its only one as its field."""
-    name = content.get("field", {}).get("name")
-    if "objects" in renamed_keys(content["document"], OLD_KEYS) or not isinstance(name, str):
-        return document
-    return document.with_object(dataclasses.replace(document.objects[0], name=object_name(name)))
-
-
-def object_name(path: PathLike) -> str:
-    """What an object is called by the file of its field: its name without endings."""
-    name = pathlib.PurePath(path).name.split(".")[0][:MAX_NAME]
-    return name if name.strip() and name.isprintable() else "scene"
-
-
-#: Parts of the document that pages are told of.
+#: Parts of the document that are sent to pages.
 PARTS = ("edits", "selection", "settings", "view", "timeline", "objects")
 
 #: Where a new session looks from, degrees, and its vertical field of view.
@@ -220,10 +82,10 @@ class Session:
         self.history = history or History()
         self.exports = exports  # what was written into the folder and is still there, the oldest first
         self.lost = lost  # what became of steps that the file held, for the first page
-        self.notify: Callable[[str], None] = lambda text: None  # told what somebody should know who works here
+        self.notify: Callable[[str], None] = lambda text: None  # called with lines for all pages
         self.saved: str | None = None  # when it was saved last, ISO 8601
         self.save_error: str | None = None  # why it could not be saved
-        self.listeners: list[Callable[[set[str]], None]] = []  # told the sections that changed; "vertices": a gesture's
+        self.listeners: list[Callable[[set[str]], None]] = []  # called with changed sections; "vertices": a gesture's
         self._gesture: Gesture | None = None
         self._steps = 0
         self._saving = threading.Lock()
@@ -245,13 +107,13 @@ class Session:
         self.change(lambda document: commands.run_command(document, message))
 
     def move_camera(self, message: dict[str, Any]) -> dict[str, str]:
-        """Keys of the moves of the film's camera that words name, as one step; what held them back, or ""."""
+        """Make keys of moves of the film's camera, as one step. Returns a note on what limited them, or ""."""
         refined, notes = getattr(self.fields.main, "refined_cameras", None), [""]
 
         def step(document: Document) -> tuple[str, Document]:
-            words, seen = message["move"], refined.cameras if refined else []
-            made, notes[0] = timeline.with_camera_moves(document, words, seen)
-            return f"camera {words}", made
+            moves, seen = message["move"], refined.cameras if refined else []
+            made, notes[0] = timeline.with_camera_moves(document, moves, seen)
+            return f"camera {moves}", made
 
         self.change(step)
         return {"note": notes[0]}
@@ -269,7 +131,7 @@ class Session:
 
     def adopt(self, before: Document, label: str, document: Document, lost: str | None = None) -> bool:
         """Take a document that another thread has made of `before`, a `settled` one, as one step of the history.
-        False, and nothing is changed, where somebody has changed the scene since, or is about to; see `losses`."""
+        False, and nothing is changed, where the scene has changed since, or is being changed; see `losses`."""
         shared = (part for part in PARTS if part != "view")
         if self.moving or any(getattr(before, part) is not getattr(self.document, part) for part in shared):
             return False
@@ -383,11 +245,11 @@ class Session:
         """Go to a time of the film, seconds: poses and camera are those of the keys around it.
         Returns whether a pose is left that no key holds; it is a step of the history."""
         self.end_gesture()
-        told = {"playback", "vertices"}
+        changed = {"playback", "vertices"}
         leaves = self.unkeyed and not (self.history.undo_steps and _same(self.history.undo_steps[-1][1], self.document))
         if leaves:
             self.history.push(SCRUB, self.document, looks=True)
-            told.add("history")
+            changed.add("history")
             self.notify(f"No key holds the pose that was left at {self.document.time:.2f} s. Undo goes back to it.")
         poses, view = timeline.state_at(self.document, time)
         document = timeline.placed_at(self.document, time)
@@ -397,9 +259,9 @@ class Session:
                 posed = frozen_vertices(poses[edit.id], len(edit.rest))
                 document = document.with_edit(dataclasses.replace(edit, posed=posed))
         if not any(edit.sliders for edit in self.document.edits):  # pages show where sliders are
-            self._take(document, told, without={"edits"})
+            self._take(document, changed, without={"edits"})
         else:
-            self._take(document, told)
+            self._take(document, changed)
         return leaves
 
     @property
@@ -418,12 +280,12 @@ class Session:
         return steps[-1][1].time if steps and steps[-1][0] == SCRUB else None
 
     def _take(self, document: Document, more: Iterable[str] = (), without: Iterable[str] = ()) -> None:
-        """Take a document as the newest one and tell listeners what changed."""
+        """Take a document as the newest one and call listeners with what changed."""
         changed = {part for part in PARTS if getattr(document, part) is not getattr(self.document, part)}
         if document.time != self.document.time:
             changed.add("playback")
         if document.selection.object_id != self.document.selection.object_id:
-            changed.add("edits")  # pages are told of those of the active object
+            changed.add("edits")  # pages have those of the active object
         self.document = document
         changed = (changed - set(without)) | set(more)
         if changed & {"edits", "timeline", "objects", "history"}:
@@ -434,7 +296,7 @@ class Session:
         for listener in self.listeners:
             listener(changed)
 
-    # -- What pages are told
+    # -- What pages show
 
     def section(self, name: str) -> Any:
         """One section of the document or the history, as JSON takes it."""
@@ -443,7 +305,7 @@ class Session:
             edits = document.edits_of(document.selection.object_id)
             return [edit_json(edit) | {"sliders": _sliders_json(edit.sliders)} for edit in edits]
         if name == "objects":
-            return [self._object_section(scene_object) for scene_object in document.objects]
+            return [self._object_section(one) for one in document.objects]
         if name == "timeline":
             film, ways = document.timeline, timeline.ways(document)
             keys = [
@@ -452,8 +314,8 @@ class Session:
                 | {"edits": sorted(key.poses or {}), "objects": sorted(key.held_places)}
                 for key in film.keys
             ]
-            told = {name: getattr(film, name) for name in ("length", "fps", "loop")}
-            return {"keys": keys, "frames": frame_count(**told), "follows_keys": film.follows_keys, **told}
+            kept = {name: getattr(film, name) for name in ("length", "fps", "loop")}
+            return {"keys": keys, "frames": frame_count(**kept), "follows_keys": film.follows_keys, **kept}
         if name == "history":
             return self.history.summary()
         if name == "selection":
@@ -461,14 +323,10 @@ class Session:
         return dataclasses.asdict(getattr(document, name))
 
     def _object_section(self, scene_object: SceneObject) -> dict[str, Any]:
-        """An object as pages are told of it, with the box and the kind of its field."""
+        """An object as pages show it, with the box and the kind of its field."""
         field = self.fields.field(scene_object)
-        told = {
-            "bounds": field.bounds.tolist(),
-            "size": object_size(field),
-            "matrix": scene_object.place.matrix.tolist(),
-        }
-        return dataclasses.asdict(scene_object) | told
+        content = dataclasses.asdict(scene_object) | {"bounds": field.bounds.tolist(), "size": object_size(field)}
+        return content | {"matrix": scene_object.place.matrix.tolist()}
 
     # -- The file
 
@@ -544,11 +402,11 @@ def view_of_box(bounds: np.ndarray, up: np.ndarray) -> View:
     """The view that a new session has of a box (2, 3), world units; up: (3,)."""
     angles: dict[str, Any] = {"elevation_degrees": ELEVATION, "start_degrees": AZIMUTH, "fov_degrees": FOV}
     camera = framing_orbit(box_corners(bounds), 1, up=up, **angles)[0]
-    return View(_triple(camera.center), _triple(bounds.mean(axis=0)), _triple(up / np.linalg.norm(up)), FOV)
+    return View(*map(timeline.triple, (camera.center, bounds.mean(axis=0), up / np.linalg.norm(up))), fov=FOV)
 
 
 def _sliders_json(sliders: Sliders | None) -> dict[str, Any] | None:
-    """Where sliders are, as pages are told."""
+    """Where sliders are, as pages show them."""
     if sliders is None:
         return None
     return {"vertices": sliders.chosen, "amounts": dict(sliders.amounts), **sliders.way}
@@ -556,11 +414,6 @@ def _sliders_json(sliders: Sliders | None) -> dict[str, Any] | None:
 
 def _iso(moment: datetime.datetime) -> str:
     return moment.isoformat(timespec="seconds")
-
-
-def _triple(vector: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = map(float, vector)
-    return x, y, z
 
 
 def _same(one: Document, two: Document) -> bool:

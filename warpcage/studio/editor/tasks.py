@@ -17,19 +17,20 @@ import numpy as np
 
 from ...cage.cage import Cage
 from ...cage.up_axis import UpAxis, load_standing
-from ...core.names import counted
+from ...core.checks import checked_flag, checked_number, checked_whole
+from ...core.names import checked_choice, counted
 from ...errors import InputError
 from ...render.surface_mesh import SurfaceMesh
 from ...select.selection import NodeSelection, visible_mask
 from ...splats.io import SPLAT_ENDINGS
 from ...splats.splat_field import field_size
+from ..films.checks import checked_id
+from ..films.document import Document, Step
+from ..films.session_file import ENDING, MAX_EXPORTS, Export, Stamp, file_stamp
 from . import commands, exports, timeline
-from .checks import checked_between, checked_choice, checked_flag, checked_id, checked_whole
-from .commands import Step
-from .document import Document
 from .exports import requested_film
 from .objects import ObjectTasks, clicked
-from .session import ENDING, MAX_EXPORTS, Export, Session, Stamp, file_stamp
+from .session import Session
 from .steps.losses import losses
 from .work.jobs import Cancelled, Jobs, Outcome, Progress
 from .work.uploads import LOADABLE, MAX_NAME_BYTES, Uploads, shown
@@ -61,10 +62,10 @@ COUNTS = (8, 2000)
 #: Largest margin of a generated cage, voxels.
 MAX_MARGIN = 64.0
 
-#: How often a cage is made anew because somebody has changed the scene meanwhile, before all others must wait for it.
+#: How often a cage is made anew because the scene has changed meanwhile, before all others must wait for it.
 ATTEMPTS = 4
 
-#: Seconds between looks at whether the hand has come to rest, or the editor is being closed.
+#: Seconds between looks at whether a drag has ended, or the editor is being closed.
 LOOK_SECONDS = 0.1
 
 Result = TypeVar("Result")
@@ -174,14 +175,14 @@ class Tasks:
         number = message.get("edit")
         if number is not None:
             self.session.document.edit(number)
-        count = checked_whole(message.get("count", 100), *COUNTS, "count")
-        method = checked_choice(message.get("method", "auto"), ("auto", "shell", "voxel"), "method")
+        count = checked_whole(message.get("count", 100), "count", *COUNTS)
+        method = checked_choice(message.get("method", "auto"), "method", ("auto", "shell", "voxel"))
         symmetry = _axis(message, "symmetry", ("x", "y", "z"))
         margin = message.get("margin")
         if margin is not None:
-            margin = checked_between(margin, 0.0, MAX_MARGIN, "margin")
+            margin = checked_number(margin, "margin", 0.0, MAX_MARGIN)
         document, field = self.session.document, self.session.active_field
-        choose, scene_object = clicked(document, field, message.get("click")), document.selection.object_id
+        choose, owner = clicked(document, field, message.get("click")), document.selection.object_id
 
         def work(progress: Progress) -> Outcome:
             progress(None, "looks for the surface and draws a cage around it")
@@ -189,7 +190,7 @@ class Tasks:
             make: Any = Cage.from_mesh if isinstance(around, SurfaceMesh) else Cage.from_field
             cage = make(around, count, margin=margin, method=method, symmetry=symmetry)
             progress(0.95, "adds it to the scene")
-            self._hand_over(lambda document: commands.with_cage(document, number, cage, "generate cage", scene_object))
+            self._apply(lambda document: commands.with_cage(document, number, cage, "generate cage", owner))
             return Outcome(f"a cage of {len(cage.vertices)} vertices{_around(around)}")
 
         return self.jobs.start(f"Cage of {count} vertices", "cage", work)
@@ -198,13 +199,13 @@ class Tasks:
         edit = self.session.document.edit(message["edit"])
         if len(edit.rest) <= COUNTS[0]:
             raise InputError(f"this cage has {len(edit.rest)} vertices: it cannot be made simpler")
-        count = checked_whole(message["count"], COUNTS[0], min(COUNTS[1], len(edit.rest) - 1), "count")
+        count = checked_whole(message["count"], "count", COUNTS[0], min(COUNTS[1], len(edit.rest) - 1))
 
         def work(progress: Progress) -> Outcome:
             progress(None, "joins faces")
             cage = edit.rest_cage.simplify(count)
             progress(0.9, "carries the pose over")
-            self._hand_over(lambda document: commands.replace_cage(document, edit.id, cage, "simplify"))
+            self._apply(lambda document: commands.replace_cage(document, edit.id, cage, "simplify"))
             return Outcome(f"{len(cage.vertices)} vertices")
 
         return self.jobs.start(f"Simplify {edit.name}", "cage", work)
@@ -212,7 +213,7 @@ class Tasks:
     async def _load_cage(self, message: dict[str, Any]) -> None:
         """A cage from a file, for an edit or as a new one."""
         path, number = self.uploads.find(message["file"]), message.get("edit")
-        field, scene_object = self.session.active_field, self.session.document.selection.object_id
+        field, owner = self.session.active_field, self.session.document.selection.object_id
         up = _axis(message, "up", ("y", "z"))
         if number is not None:
             self.session.document.edit(number)
@@ -225,7 +226,7 @@ class Tasks:
         cage, standing = await self.read(load)
         with self.uploads.taken(path) as kept:
             label = _loaded(kept, standing)
-            await self.change(lambda document: commands.with_cage(document, number, cage, label, scene_object))
+            await self.change(lambda document: commands.with_cage(document, number, cage, label, owner))
 
     async def _load_pose(self, message: dict[str, Any]) -> None:
         """A posed cage from a file, in any order that `Cage.match` takes."""
@@ -274,7 +275,7 @@ class Tasks:
 
     def _export(self, message: dict[str, Any]) -> int:
         """Write a film, a cage, poses or a baked field into the session's folder."""
-        document, what = self.session.document, checked_choice(message["what"], tuple(EXPORTS), "what")
+        document, what = self.session.document, checked_choice(message["what"], "what", tuple(EXPORTS))
         path = self.free_path(message["file"], EXPORTS[what])
         number = message.get("edit", document.selection.edit)
         if what in ("cage", "poses"):
@@ -284,18 +285,19 @@ class Tasks:
 
         def work(progress: Progress) -> Outcome:
             self.free_path(path.name, EXPORTS[what])  # it may have waited for others
-            if film is not None:
-                count = exports.export_film(document, self.session.fields, path, film, progress)
-                text = f"{path.name}: {counted(count, 'frame')} of {film.width}x{film.height}"
-            elif what == "bake":
-                baked = exports.export_baked(document, self.session.fields, path, progress)
-                text = f"{path.name}: a scene file of {field_size(baked)}"
-            elif what == "cage":
-                exports.export_cage(document, number, path, rest=rest)
-                text = f"{path.name}: a cage of {len(document.edit(number).rest)} vertices"
-            else:
-                exports.export_poses(document, number, path)
-                text = path.name
+            text = path.name
+            with self.uploads.unfinished(path) as written:
+                if film is not None:
+                    count = exports.export_film(document, self.session.fields, written, film, progress)
+                    text += f": {counted(count, 'frame')} of {film.width}x{film.height}"
+                elif what == "bake":
+                    baked = exports.export_baked(document, self.session.fields, written, progress)
+                    text += f": a scene file of {field_size(baked)}"
+                elif what == "cage":
+                    exports.export_cage(document, number, written, rest=rest)
+                    text += f": a cage of {len(document.edit(number).rest)} vertices"
+                else:
+                    exports.export_poses(document, number, written)
             return self.note(path, text)
 
         return self.jobs.start(_title(path.name), "film" if film or what == "bake" else "file", work)
@@ -322,12 +324,12 @@ class Tasks:
 
     async def change(self, step: Callable[[Document], Step]) -> None:
         """Change the document by what takes long, in another thread."""
-        await self.read(lambda: self._hand_over(step, patient=False))
+        await self.read(lambda: self._apply(step, patient=False))
 
-    def _hand_over(self, step: Callable[[Document], Step], patient: bool = True) -> None:
+    def _apply(self, step: Callable[[Document], Step], patient: bool = True) -> None:
         """Change the document from another thread; raises what the change raises, or Cancelled.
-        `patient`: wait for a hand that moves; otherwise its gesture ends."""
-        # Made here, so that the server's loop goes on meanwhile; and anew where somebody has changed the scene since.
+        `patient`: wait for a drag to end; otherwise it ends now."""
+        # Made here, so that the server's loop goes on meanwhile; and anew where the scene has changed since.
         for _ in range(ATTEMPTS):
             before = self.session.settled
             label, made = step(before)
@@ -337,7 +339,7 @@ class Tasks:
         self._in_loop(functools.partial(self.session.change, step), patient)
 
     def _in_loop(self, function: Callable[[], Result], patient: bool) -> Result:
-        """Call a function in the loop's thread, if patient once no hand moves, and wait for its result."""
+        """Call a function in the loop's thread, if patient once nothing is dragged, and wait for its result."""
         done: concurrent.futures.Future[Result] = concurrent.futures.Future()
 
         def apply() -> None:
@@ -385,7 +387,7 @@ def _loaded(path: pathlib.Path, standing: UpAxis) -> str:
 
 
 def _around(chosen: Any) -> str:
-    """How much of what is visible a cage of a click goes around, in words; nothing of one that goes around all."""
+    """How much of what is visible a cage of a click goes around, as text; empty where that is all."""
     if not isinstance(chosen, NodeSelection):
         return ""
     share = np.count_nonzero(chosen.mask) / np.count_nonzero(visible_mask(chosen.field))
@@ -393,7 +395,7 @@ def _around(chosen: Any) -> str:
     return f" around {share:.1%} of what is visible{more}"
 
 
-def _axis(message: dict[str, Any], word: str, axes: tuple[str, ...]) -> str | None:
-    """The axis that a word of a message names; None where it has no such word."""
-    axis = message.get(word)
-    return None if axis is None else checked_choice(axis, axes, word)
+def _axis(message: dict[str, Any], name: str, axes: tuple[str, ...]) -> str | None:
+    """The axis of this name in a message, or None."""
+    axis = message.get(name)
+    return None if axis is None else checked_choice(axis, name, axes)

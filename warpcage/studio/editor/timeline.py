@@ -16,15 +16,16 @@ import numpy as np
 from ...cage.cage import Cage
 from ...cage.pose_file import PoseFile, known_easing
 from ...core.arrays import box_corners
+from ...core.checks import checked_number
 from ...core.names import MOVE_HELP
 from ...edits.place import PlaceFile
 from ...errors import InputError
-from ...scene.coverage import within_sight
 from ...view import motion as between
 from ...view.camera import Camera, CameraKey
-from ...view.camera_path import CameraMove, MovingCamera, camera_moves, timed_keys
-from .checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, checked_between, checked_name, frozen_vertices
-from .document import Document, Key, Timeline, View
+from ...view.camera_path import timed_keys
+from ..films.checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, checked_name, frozen_vertices
+from ..films.document import Document, Key, Timeline, View
+from ..films.moves import CameraMove, MovingCamera, camera_moves, within_sight
 from .pictures.scene import Fields, view_camera
 
 #: Keys and what each of them holds of one edit, object or camera.
@@ -36,13 +37,13 @@ PICTURE = (800, 600)
 #: Parts of a drawn way from key to key; a smooth one is a cubic, for which few do.
 PARTS, SMOOTH_PARTS = 32, 8
 
-#: Keys whose ways are drawn: more lie too close to be told apart, and take long.
+#: Keys whose ways are drawn: more lie too close to be seen apart, and take long.
 MAX_DRAWN = 200
 
 #: Most degrees between two keys of a turn, of which those between are exact; and parts of one there and back.
 TURN_PART, TURN_BACK_PARTS = 45.0, 16
 
-#: Keys of moves that go no even way: a hand sways up to 2.3 times a second, the last of these little.
+#: Keys of moves that go no even way: a hand-held camera sways up to 2.3 times a second, the last of these little.
 KEYS_A_SECOND = {"hand-held": 6.0, "follow": 3.0}
 
 #: Room around what the camera of a key is made to see, as the page's "Frame all" leaves it.
@@ -211,12 +212,12 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
     return _with_keys(document, keys, next_id)
 
 
-def with_camera_moves(document: Document, words: str, seen: Sequence[Camera]) -> tuple[Document, str]:
-    """A document whose film's camera goes through moves as words name them, from the present view and about its target,
-    by keys in the place of its own; and one line of what held it back, or "". seen: cameras of the pictures."""
-    film, view, moves = document.timeline, document.view, camera_moves(checked_name(words))
+def with_camera_moves(document: Document, text: str, seen: Sequence[Camera]) -> tuple[Document, str]:
+    """A document whose film's camera goes through moves (a text as for `--cameras`) from the present view and about its
+    target, by keys in the place of its own; and a line on what limited them, or "". seen: cameras of the pictures."""
+    film, view, moves = document.timeline, document.view, camera_moves(checked_name(text))
     if moves is None:
-        raise InputError(f"camera {words!r} is not a move: {MOVE_HELP}")
+        raise InputError(f"camera {text!r} is not a move: {MOVE_HELP}")
     closes = any(move.kind == "turn" and (move.amount or 360.0) % 360.0 == 0.0 for move in moves)
     frames = max(1, round(film.length * film.fps))
     pivot, up = np.array(view.target), np.array(view.up)
@@ -261,14 +262,12 @@ def _followed_place(document: Document, time: float) -> np.ndarray:
 def framed_views(document: Document, fields: Fields, aspect: float) -> dict[int, View]:
     """For each key whose camera does not see all shown objects at its time, by its number: the view that does.
     It looks the same way, from farther back. aspect: width of the picture by its height."""
-    found, aspect = {}, checked_between(aspect, 0.05, 20.0, "aspect")
+    found, aspect = {}, checked_number(aspect, "aspect", 0.05, 20.0)
     for key in document.timeline.keys:
-        objects = [scene_object for scene_object in placed_at(document, key.time).objects if scene_object.visible]
+        objects = [one for one in placed_at(document, key.time).objects if one.visible]
         if key.view is None or not objects:
             continue
-        places = np.concatenate(
-            [scene_object.place.moved(box_corners(fields.field(scene_object).bounds)) for scene_object in objects]
-        )
+        places = np.concatenate([one.place.moved(box_corners(fields.field(one).bounds)) for one in objects])
         pose = view_camera(key.view, *PICTURE).camera_to_world
         tall = math.tan(math.radians(key.view.fov) / 2)
         slopes = np.array([tall * aspect, tall])
@@ -283,7 +282,7 @@ def framed_views(document: Document, fields: Fields, aspect: float) -> dict[int,
         at = seen_as(places, target)
         far = max(float(np.max(FRAME_MARGIN * np.abs(at[:, :2]) / slopes - at[:, 2:])), 1e-6)
         eye = target - far * pose[:3, 2]
-        found[key.id] = dataclasses.replace(key.view, eye=_triple(eye), target=_triple(target))
+        found[key.id] = dataclasses.replace(key.view, eye=triple(eye), target=triple(target))
     return found
 
 
@@ -319,7 +318,7 @@ def view_of(key: CameraKey, middle: np.ndarray, up: Sequence[float]) -> View:
     stands = abs(given @ right) < 1e-6 and given @ upward > 1e-3
     fov = math.degrees(2.0 * math.atan(0.5 * key.camera.height / key.camera.fy))
     chosen = given if stands else upward / np.linalg.norm(upward)
-    return View(_triple(eye), _triple(target), _triple(chosen), min(max(fov, MIN_FOV), LARGEST_FOV))
+    return View(triple(eye), triple(target), triple(chosen), min(max(fov, MIN_FOV), LARGEST_FOV))
 
 
 def load_poses(document: Document, number: int, path: str) -> Document:
@@ -397,7 +396,7 @@ def _view_at(track: Sequence[tuple[Key, np.ndarray]], time: float, closed: bool)
     eye = target + math.exp(value[3]) * (_frame(np.array(first.up)) @ direction)
     length = float(np.linalg.norm(up))
     up = up / length if length > 1e-9 else np.array(held.up)  # half-way between opposite ones
-    return View(_triple(eye), _triple(target), _triple(up), min(max(fov, MIN_FOV), LARGEST_FOV))
+    return View(triple(eye), triple(target), triple(up), min(max(fov, MIN_FOV), LARGEST_FOV))
 
 
 def _frame(up: np.ndarray) -> np.ndarray:
@@ -408,6 +407,7 @@ def _frame(up: np.ndarray) -> np.ndarray:
     return np.stack([across, np.cross(up, across), up], axis=1)
 
 
-def _triple(values: np.ndarray) -> tuple[float, float, float]:
+def triple(values: np.ndarray) -> tuple[float, float, float]:
+    """Three numbers of an array (3,), as a view holds them."""
     x, y, z = values.tolist()
     return x, y, z

@@ -19,29 +19,29 @@ import warp as wp
 
 from ....core.arrays import empty_array
 from ....core.devices import launch
-from ....core.locks import device_turn
-from ....core.names import chosen
+from ....core.names import coordinate_kind
+from ....core.threads import device_turn
 from ....field.voxel_field import VoxelField
 from ....kernels.view import pictures
 from ....splats.splat_field import AnyField
 from ....view.camera import Camera
 from ....view.frame import Frame
 from ....view.frame_parts import mask_shares, picture
-from ..document import Background, Document
+from ...films.document import Background, Document
 from .scene import HIDING_ALPHA, Fields, PosedScene, same_pose, view_camera
 
-#: Seconds that a picture may take while the hand moves, on a CPU and on CUDA.
+#: Seconds that a picture may take during a drag, on a CPU and on CUDA.
 MOVING_SECONDS = {"cpu": 0.05, "cuda": 0.022}
 
-#: Cells of lattices that are tried on a CPU while the hand moves, and the least side of a picture, pixels.
+#: Cells of lattices that are tried on a CPU during a drag, and the least side of a picture, pixels.
 COARSE_CELLS = (16, 20, 24, 32, 48, 64, 96, 128)
 
 MIN_SIDE = 200
 
-#: March steps that are taken as one on a CPU while the hand moves.
+#: March steps that are taken as one on a CPU during a drag.
 MOVING_STEP = {"cpu": 3.0, "cuda": 1.0}
 
-#: Quality of JPEGs while the hand moves, of pictures with few pixels then, which the page enlarges, and at rest.
+#: Quality of JPEGs during a drag, of pictures with few pixels then, which the page enlarges, and at rest.
 MOVING_QUALITY, SMALL_QUALITY, SHARP_QUALITY = 75, 90, 92
 
 SMALL_PIXELS = 100_000
@@ -73,7 +73,7 @@ class Pace:
         self.kind = "cuda" if cuda else "cpu"
         self._pose: dict[tuple[str, int], float] = {}  # (coordinates, cells) -> seconds
         self._pixel = {True: FIRST_PIXEL, False: 3.0 * FIRST_PIXEL}  # sharp -> seconds, supersampling left out
-        self._scale = 0.0  # of the last picture while the hand moved
+        self._scale = 0.0  # of the last picture during a drag
 
     def learn(self, effort: Effort, coordinates: str, pose: float | None, render: float) -> None:
         """Take in what a picture took, seconds for the pose (None: it was there already) and for the pixels."""
@@ -87,7 +87,7 @@ class Pace:
         """What a pose is thought to take, by the nearest lattice that was measured."""
         known = [(abs(math.log(cells / c)), c, t) for (kind, c), t in self._pose.items() if kind == coordinates]
         if not known:
-            return FIRST_POSE * cells**2.5 * chosen(coordinates, "coordinates", harmonic=1.0, mean_value=2.0, green=2.0)
+            return FIRST_POSE * cells**2.5 * (2.0 if coordinate_kind(coordinates).is_closed_form else 1.0)
         _, near, seconds = min(known)
         return seconds * (cells / near) ** 2.5
 
@@ -101,7 +101,7 @@ class Pace:
         return self.pose_seconds(coordinates, effort.cells) + pixels * self._pixel[True]
 
     def moving(self, width: int, height: int, cells: int, coordinates: str, posing: bool) -> Effort:
-        """A picture that is there in time while the hand moves, of at most so many pixels (but MIN_SIDE) and cells.
+        """A picture that is ready in time during a drag, of at most so many pixels (but MIN_SIDE) and cells.
         `posing`: whether the pose changes, not the view alone."""
         budget = MOVING_SECONDS[self.kind]
         if self.kind == "cpu":
@@ -126,7 +126,7 @@ def _mixed(known: float | None, seen: float) -> float:
 #: The first number of a frame's message; see `packed_frame`.
 FRAME = 10
 
-#: Depths along the longest side of a picture, while the hand moves and when it rests.
+#: Depths along the longest side of a picture, during a drag and at rest.
 DEPTHS_MOVING, DEPTHS_SHARP = 64, 256
 
 
@@ -187,21 +187,21 @@ def packed_frame(header: dict[str, Any], pixels: Pixels | None, quality: int) ->
         sampling = "444" if quality >= 90 else "420"  # from 90 on colours keep their full resolution
         jpeg = simplejpeg.encode_jpeg(pixels.colors, quality=quality, colorspace="RGB", colorsubsampling=sampling)
         depths = pixels.depths.astype("<u2").tobytes()
-    words = json.dumps(header, allow_nan=False).encode()
-    parts = [struct.pack("<4I", FRAME, len(words), len(jpeg), len(depths))]
-    parts += [words, b" " * (-len(words) % 8), jpeg, b"\0" * (-len(jpeg) % 8), depths]
+    encoded = json.dumps(header, allow_nan=False).encode()
+    parts = [struct.pack("<4I", FRAME, len(encoded), len(jpeg), len(depths))]
+    parts += [encoded, b" " * (-len(encoded) % 8), jpeg, b"\0" * (-len(jpeg) % 8), depths]
     return b"".join(parts)
 
 
 _log = logging.getLogger(__name__)
 
-#: How long the hand must rest before a sharp picture is begun, seconds; longer where its pose takes long.
+#: How long nothing must move before a sharp picture is begun, seconds; longer where its pose takes long.
 REST_SECONDS = 0.15
 
 #: Seconds that a band of a sharp picture may take on a CPU, where nothing interrupts it.
 BAND_SECONDS = 0.03
 
-#: What may go wrong with a pose that somebody drags about. The picture before stays.
+#: What may go wrong with a pose during a drag. The picture before stays.
 EXPECTED = (ValueError, MemoryError, RuntimeError, OverflowError)
 
 
@@ -212,7 +212,7 @@ class Request:
     document: Document
     width: int
     height: int
-    moving: bool  # whether the hand moves: the picture should come soon rather than be sharp
+    moving: bool  # whether something is being dragged: the picture should come soon rather than be sharp
     applied: Mapping[int, int]  # the newest message of each page that it shows
     ground: Background = None  # in place of a field's own background of one colour, here and not in films
 
@@ -354,7 +354,7 @@ class Renderer:
             "width": effort.width,
             "height": effort.height,
             "view": dataclasses.asdict(view),
-            "objects": [scene_object.id for scene_object in request.document.objects],
+            "objects": [one.id for one in request.document.objects],
             "sharp": effort.sharp,
             "scale": effort.width / request.width,
             "quality": effort.quality,
@@ -412,7 +412,7 @@ class Renderer:
     def _frame(self, request: Request, seen: Any, effort: Effort) -> Frame:
         document = request.document
         background = document.settings.background
-        fields = [self._fields.field(scene_object) for scene_object in document.objects if scene_object.visible]
+        fields = [self._fields.field(one) for one in document.objects if one.visible]
         if background is None and all(field.background_model is None for field in fields):
             background = request.ground
         fill = effort.sharp and self._fills(document)

@@ -14,20 +14,21 @@ from ....cage.cage import Cage
 from ....cage.walls import cut_faces
 from ....core.arrays import box_corners
 from ....deform.deformer import Deformer
+from ....deform.objects import render_object
 from ....deform.stage import Stage
 from ....edits.edits import CageEdit
 from ....edits.place import seen_from
 from ....errors import InputError
+from ....field.render import RenderOptions
 from ....field.voxel_field import VoxelField
 from ....mesh.validity import require_usable
 from ....render.surface_mesh import AnyObject
 from ....splats.splat_field import AnyField
 from ....view.camera import Camera
 from ....view.frame import Frame
-from ...films.render import Look
-from ..document import MAIN, Background, Document, Edit, SceneObject, Settings, View
+from ...films.document import MAIN, Background, Document, Edit, SceneObject, Settings, View
 
-#: Deformers that are kept for one set of edits, one per resolution: a moving hand and a resting one may have two.
+#: Deformers that are kept for one set of edits, one per resolution: a drag and a picture at rest may have two.
 KEPT_DEFORMERS = 2
 
 #: Rows of the picture that a click is taken in: finer than any page's.
@@ -75,9 +76,7 @@ class Fields:
 
     def bounds(self, document: Document) -> np.ndarray:
         """(2, 3) box of all objects where they stand, world units; of hidden ones too."""
-        boxes = [
-            scene_object.place.moved(box_corners(self.field(scene_object).bounds)) for scene_object in document.objects
-        ]
+        boxes = [one.place.moved(box_corners(self.field(one).bounds)) for one in document.objects]
         return np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
 
 
@@ -91,13 +90,13 @@ class PosedScene:
 
     def posed(self, number: int) -> AnyObject | Deformer:
         """An object of the last `prepare` in which it was seen: a Deformer, or its field where that is as it is."""
-        scene_object = self._posed[number]
-        return scene_object.deformer or scene_object.field
+        posed = self._posed[number]
+        return posed.deformer or posed.field
 
     def prepare(self, document: Document, resolution: int | None = None) -> None:
         """Make the scene of a document's objects, edits and settings; where that fails, the scene before stays.
         `resolution`: cells of the lattices along the longest side of a cage, None is that of the settings."""
-        objects = [scene_object for scene_object in document.objects if scene_object.visible]
+        objects = [one for one in document.objects if one.visible]
         for scene_object in objects:
             field, posed = self.fields.field(scene_object), self._posed.get(scene_object.id)
             if posed is None:
@@ -199,10 +198,8 @@ class PosedObject:
         fill: bool = False,
     ) -> Frame:
         """The view of a camera of what was posed last, or of the field itself; see `PosedScene.render`."""
-        options: dict[str, Any] = {}
-        if isinstance(self.field, VoxelField):
-            options["step"] = None if coarse == 1.0 else coarse * self.field.step
-        frame = Look(background, fill, supersampling).render(self.deformer or self.field, camera, **options)
+        options = RenderOptions(background, supersampling, step_scale=coarse, fill=fill)
+        frame = render_object(self.deformer or self.field, camera, options)
         if "filled" in frame.arrays:
             device = frame.arrays["alpha"].device
             frame.arrays["rgb"] = wp.array(frame.rgb.reshape(-1, 3), dtype=wp.vec3, device=device)  # as the others

@@ -10,17 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from ....core.checks import listed
+from ....core.checks import checked_whole, listed
 from ....core.files import DAMAGED
 from ....core.names import agreed, counted, renamed_keys
 from ....errors import InputError
 from ....render.surface_mesh import AnyObject, object_size
-from ..checks import MAX_LINE, checked_items, checked_whole
-from ..document import (
+from ...films.checks import MAX_LINE, checked_items
+from ...films.document import (
     OLD_KEYS,
     Document,
     Edit,
     Key,
+    Step,
     Timeline,
     checked_edit,
     checked_key,
@@ -36,10 +37,7 @@ DEPTH = 500
 #: Bytes of a session's file that its steps may take beyond what it holds, about: each change writes it anew.
 MAX_BYTES = 4_000_000
 
-#: A step: its name, and the document on its other side.
-Step = tuple[str, Document]
-
-#: What tells a field from another one that has got its file's name, as JSON takes it.
+#: Identifies a field among those that its file has held: bounds and size, as JSON takes them.
 Mark = list[Any]
 
 
@@ -52,7 +50,7 @@ class History:
         self.redo_steps: list[Step] = []  # (name, document after it), the next one last
 
     def push(self, label: str, before: Document, looks: bool = False) -> None:
-        """Remember the document before a step. What was undone is forgotten, unless somebody only looks around."""
+        """Remember the document before a step. What was undone is forgotten, unless it `looks`: at another time."""
         self.undo_steps.append((label, before))
         del self.undo_steps[:-DEPTH]
         if not looks:
@@ -118,8 +116,8 @@ def read_history(content: Any, fields: Fields, load: Callable[[str], AnyObject])
     try:
         gone.marks = content["fields"]
         read = _Reader(content["parts"])
-        for word, steps in (("undo", history.undo_steps), ("redo", history.redo_steps)):
-            kept = checked_items(content[word], DEPTH, word)
+        for name, steps in (("undo", history.undo_steps), ("redo", history.redo_steps)):
+            kept = checked_items(content[name], DEPTH, name)
             for index in reversed(range(len(kept))):
                 label, document = read.step(kept[index])
                 if not gone.has_all(document):
@@ -128,7 +126,7 @@ def read_history(content: Any, fields: Fields, load: Callable[[str], AnyObject])
                 steps.insert(0, (label, document))
     except (*DAMAGED, ValueError, MemoryError):
         return History(), "The undo steps in the session's file are damaged and left out."
-    return history, gone.told()
+    return history, gone.report()
 
 
 class _Gone:
@@ -142,7 +140,7 @@ class _Gone:
 
     def has_all(self, document: Document) -> bool:
         """Whether all fields of a document are there, and as they were."""
-        return all(self._has(scene_object.file or "") for scene_object in document.objects)
+        return all(self._has(one.file or "") for one in document.objects)
 
     def _has(self, file: str) -> bool:
         if file not in self._known:
@@ -157,7 +155,7 @@ class _Gone:
                     files[file] = field
         return self._known[file]
 
-    def told(self) -> str | None:
+    def report(self) -> str | None:
         """One line of how many steps are left out, and for which files."""
         if not self.count:
             return None
@@ -189,7 +187,7 @@ class _Pool:
         """Steps as JSON takes them, the nearest ones first as long as there is room; in their order."""
         kept: list[Any] = []
         for label, document in reversed(steps):
-            count, files = len(self.parts), {scene_object.file or "" for scene_object in document.objects}
+            count, files = len(self.parts), {one.file or "" for one in document.objects}
             made = [label, self._document(document)]
             self._size += len(json.dumps(made))
             if self._size > MAX_BYTES:
@@ -202,7 +200,7 @@ class _Pool:
     def _document(self, document: Document) -> dict[str, Any]:
         return {
             "edits": [self._number(edit, lambda one: edit_json(one, self._array)) for edit in document.edits],
-            "objects": [self._number(scene_object, dataclasses.asdict) for scene_object in document.objects],
+            "objects": [self._number(one, dataclasses.asdict) for one in document.objects],
             "selection": self._number(document.selection, selection_json),
             "settings": self._number(document.settings, dataclasses.asdict),
             "view": self._number(document.view, dataclasses.asdict),
@@ -213,8 +211,7 @@ class _Pool:
 
     def _film(self, film: Timeline) -> dict[str, Any]:
         keys = [self._number(key, lambda one: key_json(one, self._array)) for key in film.keys]
-        told = {name: getattr(film, name) for name in ("length", "fps", "loop", "follows_keys")}
-        return {"keys": keys, **told}
+        return {"keys": keys, **{name: getattr(film, name) for name in ("length", "fps", "loop", "follows_keys")}}
 
     def _array(self, array: np.ndarray) -> int:
         return self._number(array, lambda rows: base64.b64encode(rows.tobytes()).decode())
@@ -253,7 +250,7 @@ class _Reader:
         return label[:MAX_LINE], Document.from_json({**held, **parts, "objects": objects}, self._edit, self._key)
 
     def _part(self, number: Any) -> Any:
-        return self._parts[checked_whole(number, 0, len(self._parts) - 1, "the number of a part")]
+        return self._parts[checked_whole(number, "the number of a part", 0, len(self._parts) - 1)]
 
     def _rows(self, number: Any, kind: str) -> list[Any]:
         return np.frombuffer(base64.b64decode(self._part(number), validate=True), kind).reshape(-1, 3).tolist()

@@ -1,4 +1,4 @@
-"""What a step takes from the keys of a film, in words."""
+"""What a step takes from the keys of a film, as text."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ....cage.cage import Cage
 from ....coordinates.coordinates import deform_points
 from ....core.names import agreed, counted
-from ..document import Document, Edit, Key
+from ...films.document import Document, Edit, Key
 
 #: How far what is in a cage may come to lie elsewhere than before the cage was replaced, as a share of its size.
 TOLERANCE = 1e-4
@@ -28,7 +28,7 @@ def losses(before: Document, after: Document) -> str | None:
     pairs: _Pairs = [(key, there.get(key.id)) for key in before.timeline.keys if there.get(key.id) is not key]
     cages, names = {edit.id: edit for edit in before.edits}, {edit.id: f'"{edit.name}"' for edit in before.edits}
     moved = {edit.id for edit in after.edits if edit.id in cages and edit.rest is not cages[edit.id].rest}  # carried
-    objects = {scene_object.id: f'"{scene_object.name}"' for scene_object in before.objects}
+    objects = {one.id: f'"{one.name}"' for one in before.objects}
     lost = [
         *_lost(pairs, ("pose", "poses"), "cages", lambda key: key.poses or {}, names, moved),
         *_lost(pairs, ("camera", "cameras"), "", lambda key: {} if key.view is None else {0: key.view}, {0: ""}),
@@ -46,14 +46,14 @@ def losses(before: Document, after: Document) -> str | None:
 
 def _lost(
     pairs: _Pairs,
-    words: tuple[str, str],
+    nouns: tuple[str, str],
     several: str,
     held: Callable[[Key], Mapping[int, Any]],
     names: Mapping[int, str],
     carried: Iterable[int] = (),
 ) -> list[tuple[int, str]]:
-    """How many keys lose something that they hold by number, and what in words: first what is gone, then what others
-    have taken the place of. `several`: what is numbered."""
+    """How many keys lose something that they hold by number, and what, as text: first what is gone, then what was
+    replaced. `nouns`: singular and plural of it; `several`: what is numbered."""
     found: dict[str, tuple[set[int], set[int]]] = {"": (set(), set()), "old ": (set(), set())}  # keys and numbers
     for key, now in pairs:
         new = {} if now is None else held(now)
@@ -66,9 +66,9 @@ def _lost(
     lost = []
     for old, (keys, numbers) in found.items():
         if keys:
-            word = words[max(len(keys), len(numbers)) > 1]
+            noun = nouns[max(len(keys), len(numbers)) > 1]
             name = names[min(numbers)] if len(numbers) == 1 else f"{len(numbers)} {several}"
-            lost.append((len(keys), f"{agreed(len(keys), 'its', 'their')} {old}{word}{name and f' of {name}'}"))
+            lost.append((len(keys), f"{agreed(len(keys), 'its', 'their')} {old}{noun}{name and f' of {name}'}"))
     return lost
 
 

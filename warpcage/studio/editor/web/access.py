@@ -19,7 +19,7 @@ from aiohttp.http import HttpProcessingError
 
 from ....core.names import error_line
 from ....errors import InputError
-from ..checks import MAX_LINE
+from ...films.checks import MAX_LINE
 from ..tasks import Tasks
 from ..work.uploads import shown
 
@@ -34,10 +34,10 @@ HEADERS = {
 }
 
 
-#: Random bytes of the word in the address.
+#: Random bytes of the token in the address.
 TOKEN_BYTES = 24
 
-#: What such a word looks like.
+#: What a token looks like.
 TOKEN = re.compile(r"[\w-]{32}", re.ASCII)
 
 #: How a file is opened that may be a link or a pipe by then: not through the one, without waiting for the other.
@@ -45,10 +45,10 @@ _AS_IT_IS = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK
 
 
 class Access:
-    """Lets those in who know the word in the address, and pages of the same origin only.
+    """Lets in who knows the token in the address, and pages of the same origin only.
     `allowed_hosts`: names under which pages may come, beside those of this machine's loopback and `host`."""
 
-    # `Host` must be a name that was told: a foreign one that leads here is refused, even where the token was learned.
+    # `Host` must be an allowed name: a foreign one that leads here is refused, even with the token.
 
     def __init__(self, host: str, allowed_hosts: Iterable[str] = (), session: pathlib.Path | None = None):
         # Where other machines may ask, an address that was handed out once ends with the editor.
@@ -58,7 +58,7 @@ class Access:
         self._everywhere = host in ("0.0.0.0", "::", "")
 
     def is_welcome(self, request: web.Request) -> bool:
-        """Whether a request has the token, a host name that was told, and no foreign origin."""
+        """Whether a request has the token, an allowed host name, and no foreign origin."""
         given = request.match_info.get("token", "").encode("utf-8", "surrogateescape")
         if not hmac.compare_digest(given, self.token.encode()):
             return False
@@ -97,13 +97,13 @@ class Access:
 
 
 def _kept_token(session: pathlib.Path) -> str:
-    """The word in the address of a session's editor: pages that are open go on where it was kept beside the session's
-    file, in a file that nobody else may read."""
+    """The token of a session's editor, kept beside the session's file for pages that are open, in a file that only its
+    owner may read."""
     path = session.with_name(f".{session.name.removesuffix('.json')}.secret")
     with contextlib.suppress(OSError, UnicodeDecodeError), open(os.open(path, _AS_IT_IS), encoding="ascii") as file:
-        told = os.fstat(file.fileno())
-        private = not hasattr(os, "getuid") or (told.st_uid == os.getuid() and not stat.S_IMODE(told.st_mode) & 0o077)
-        if stat.S_ISREG(told.st_mode) and private and TOKEN.fullmatch(token := file.read(TOKEN_BYTES * 2)):
+        status = os.fstat(file.fileno())
+        private = not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o077)
+        if stat.S_ISREG(status.st_mode) and private and TOKEN.fullmatch(token := file.read(TOKEN_BYTES * 2)):
             return token
     token = secrets.token_urlsafe(TOKEN_BYTES)
     with contextlib.suppress(OSError):  # a folder that cannot be written to: pages are opened anew
@@ -114,7 +114,7 @@ def _kept_token(session: pathlib.Path) -> str:
 
 
 def _is_address(host: str) -> bool:
-    """Whether a host is given by number: a name that somebody else owns could be made to lead here."""
+    """Whether a host is given by number: the owner of a name could make it lead here."""
     try:
         ipaddress.ip_address(host)
     except ValueError:

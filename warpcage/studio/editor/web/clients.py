@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from aiohttp import WSCloseCode, web
 
+from ....core.checks import checked_whole
 from ....errors import InputError
-from ..checks import checked_whole
-from ..document import Background, checked_background
+from ...films.document import Background, checked_background
 
 #: Frames that may be on their way to a page.
 FRAMES_UNDER_WAY = 2
@@ -47,7 +47,7 @@ class Client:
         self.number, self.sequence = number, 0  # sequence: the number of its newest pose or view
         self.size: tuple[int, int] | None = None  # width and height of its viewport, pixels
         self.ground: Background = None  # behind the scene in its viewport, in place of a field's one colour
-        self.mistakes, self.strayed = 0, False  # wrong messages in a row; whether told that its gesture has ended
+        self.mistakes, self.strayed = 0, False  # wrong messages in a row; whether it knows that its gesture has ended
         self.slow: set[asyncio.Task] = set()  # its commands that are under way
         self._socket, self._closed = socket, False
         self._sections: dict[str, str] = {}
@@ -61,7 +61,7 @@ class Client:
 
     def resize(self, message: dict[str, Any]) -> None:
         """Take what the page says of its viewport."""
-        width, height = (checked_whole(message[name], 1, 16384, name) for name in ("width", "height"))
+        width, height = (checked_whole(message[name], name, 1, 16384) for name in ("width", "height"))
         self.size, self.ground = (width, height), checked_background(message.get("ground"))
 
     # -- To the page
@@ -71,23 +71,23 @@ class Client:
         self._greeting = json.dumps(message)
         self._news.set()
 
-    def tell(self, message: dict[str, Any]) -> None:
+    def send(self, message: dict[str, Any]) -> None:
         """Send a message."""
         self.texts.append(json.dumps(message, allow_nan=False))
         self._news.set()
 
     def notice(self, level: str, text: str) -> None:
         """Send a line that the page shows."""
-        self.tell({"type": "notice", "level": level, "text": text})
+        self.send({"type": "notice", "level": level, "text": text})
 
-    def tell_sections(self, sections: Mapping[str, str]) -> None:
+    def send_sections(self, sections: Mapping[str, str]) -> None:
         """Send sections, written as JSON. Where some wait already, the newer ones take their place."""
         self._sections.update(sections)
         if "edits" in sections:
             self.vertices.clear()  # they are older than the edits, and would be sent after them
         self._news.set()
 
-    def tell_vertices(self, kind: int, edit: int, message: bytes) -> None:
+    def send_vertices(self, kind: int, edit: int, message: bytes) -> None:
         """Send where an edit's vertices are. Where some wait already, the newer ones take their place."""
         self.vertices[kind, edit] = message
         self._news.set()
@@ -146,7 +146,7 @@ class Client:
     # -- From the page
 
     async def keep_pace(self, size: int) -> None:
-        """Count a message of so many bytes; wait where a page sends more than a hand can, or reads too little.
+        """Count a message of so many bytes; wait where a page sends more than a drag can, or reads too little.
         TCP then holds it back."""
         now = time.monotonic()
         passed, self._counted = now - self._counted, now

@@ -18,10 +18,10 @@ MIN_SECONDS, MAX_SECONDS = 1.0 / 240.0, 1.0
 
 class Player:
     """Moves a session along its film in real time, leaving out moments that no picture can be made of in time.
-    All in the thread of the server's loop. `tell`: called when it begins or ends to play."""
+    All in the thread of the server's loop. `notify`: called when it begins or ends to play."""
 
-    def __init__(self, session: Session, tell: Callable[[], None]):
-        self._session, self._tell = session, tell
+    def __init__(self, session: Session, notify: Callable[[], None]):
+        self._session, self._notify = session, notify
         self._task: asyncio.Task | None = None
         self._shown = asyncio.Event()
 
@@ -34,14 +34,14 @@ class Player:
         """Play from where the timeline stands, or from the start where no key lies ahead."""
         self.stop()
         self._task = asyncio.create_task(self._play())
-        self._tell()
+        self._notify()
 
     def stop(self) -> None:
         """Stand still."""
         if self._task is not None:
             self._task.cancel()
             self._task = None
-            self._tell()
+            self._notify()
 
     def picture_shown(self) -> None:
         """A picture is there: the next moment may come."""
@@ -55,7 +55,7 @@ class Player:
         except Exception:
             _log.exception("the film stops")
         self._task = None
-        self._tell()
+        self._notify()
 
     async def _go_on(self) -> None:
         loop, session = asyncio.get_running_loop(), self._session

@@ -12,6 +12,7 @@ from typing import Any
 
 from ....core.names import error_line
 from ....errors import InputError
+from .uploads import shown
 
 #: Jobs that are kept, finished ones included, and jobs that may wait or run at once.
 MAX_JOBS, MAX_UNFINISHED = 40, 12
@@ -23,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 
 class Cancelled(Exception):
-    """Raised inside a job's work, at its next sign of progress, once somebody has cancelled the job."""
+    """Raised inside a job's work, at its next sign of progress, once the job was cancelled."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,14 +106,14 @@ class Jobs:
                 thread = threading.Thread(target=self._run_kind, args=(kind,), name=f"warpcage {kind}", daemon=True)
                 self._threads = [one for one in self._threads if one.is_alive()] + [thread]
                 thread.start()
-        self._tell()
+        self._notify()
         return number
 
     def add(self, name: str, outcome: Outcome) -> int:
         """Note work that is done already; returns its number."""
         with self._lock:
             number = self._add(name, state="done", share=1.0, result=outcome.text, download=outcome.download)
-        self._tell()
+        self._notify()
         return number
 
     def section(self) -> list[dict[str, Any]]:
@@ -139,7 +140,7 @@ class Jobs:
                     break
             if number in self._progress:
                 self._jobs[number] = dataclasses.replace(job, text="is being cancelled")
-        self._tell()
+        self._notify()
 
     def clear(self, number: int) -> None:
         """Forget a finished job."""
@@ -147,7 +148,7 @@ class Jobs:
             if self._job(number).state == "running":
                 raise InputError("the job is still running: cancel it first")
             del self._jobs[number]
-        self._tell()
+        self._notify()
 
     def close(self, timeout: float = 10.0) -> bool:
         """Cancel all jobs, begin none, and wait so many seconds for their threads; returns whether all have ended."""
@@ -201,13 +202,13 @@ class Jobs:
         except Cancelled:
             changes = {"state": "cancelled"}
         except (ValueError, OSError, MemoryError) as error:  # what a person's input or machine can cause
-            changes = {"state": "failed", "result": error_line(error, MAX_TEXT)}
+            changes = {"state": "failed", "result": shown(error_line(error, MAX_TEXT))}
         except BaseException as error:  # also what calls itself an exit: it would be lost in a thread
             _log.exception("job %s failed", number)
-            changes = {"state": "failed", "result": error_line(error, MAX_TEXT, named=True)}
+            changes = {"state": "failed", "result": shown(error_line(error, MAX_TEXT, named=True))}
         with self._lock:
             self._finish(number, text="", **changes)
-        self._tell()
+        self._notify()
 
     def _finish(self, number: int, **changes: Any) -> None:
         """Note how a job ended. Needs the lock."""
@@ -215,17 +216,17 @@ class Jobs:
         self._jobs[number] = dataclasses.replace(self._jobs[number], **changes)
 
     def _change(self, number: int, share: float | None, text: str) -> None:
-        """Note how far a job is, and tell of it where a page would show the difference."""
+        """Note how far a job is, and report it where a page would show the difference."""
         with self._lock:
             before = self._jobs[number]
             self._jobs[number] = dataclasses.replace(before, share=share, text=text)
         if text != before.text or _percent(share) != _percent(before.share):
-            self._tell()
+            self._notify()
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         try:
             self._listener()
-        except Exception:  # the work goes on whether or not somebody hears of it
+        except Exception:  # the work goes on whether or not it is shown
             _log.exception("a listener of jobs failed")
 
 

@@ -1,4 +1,4 @@
-"""Files that pages send: hidden in the session's folder until a command has read them and takes them."""
+"""Unfinished files of an editor, hidden in the session's folder: uploads that no command has read, and exports."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import os
 import pathlib
 import re
 import secrets
+import shutil
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from typing import IO, Any
@@ -15,7 +17,7 @@ from ....core.files import file_errors
 from ....errors import InputError
 from ....mesh.io import ENDINGS
 from ....splats.io import SPLAT_ENDINGS
-from ..session import ENDING
+from ...films.session_file import ENDING
 
 #: Endings of files that pages may load, and what is in them.
 LOADABLE = {
@@ -28,23 +30,23 @@ LOADABLE = {
 #: Bytes of an uploaded file's name.
 MAX_NAME_BYTES = 120
 
-#: How the hidden names of an editor's uploads begin, and how that of its lock ends.
-MARK = re.compile(r"\.warpcage-upload-[0-9a-f]{16}-")
+#: How the hidden names of an editor's uploads and of its folders of exports begin, and how that of its lock ends.
+MARK = re.compile(r"(\.warpcage-upload-[0-9a-f]{16}-)(?:export-\w+[/\\])?")
 LOCK = "lock"
 
 
 class Uploads:
-    """The uploads of an editor that no command has taken yet. All methods may be called from any thread.
-    `path_of`: gives the path in the folder for a name, which it checks."""
+    """The uploads of an editor that no command has taken yet, and its unfinished exports. Methods may be called from
+    any thread. `path_of`: gives the path in the folder for a name, which it checks."""
 
     # They lie in the folder itself, as files beside them may belong to them. A lock says that the editor still runs:
-    # the next one removes what one leaves that was killed.
+    # the next one removes the files of a killed one.
 
     def __init__(self, folder: pathlib.Path, path_of: Callable[[Any], pathlib.Path]):
         self._folder, self._path_of = folder, path_of
         self._naming = threading.Lock()
         self._waiting: dict[str, tuple[pathlib.Path, int | None]] = {}  # by the name that they get, with the page's
-        self._lock: IO[bytes] | None = None  # held once there was an upload
+        self._lock: IO[bytes] | None = None  # held once there was a hidden file
         self._mark = ""
         _remove_leftovers(folder)
 
@@ -56,10 +58,8 @@ class Uploads:
             raise InputError(f"{plain[:100]!r} is not a cage, pose or scene file; takes {' '.join(LOADABLE)}")
         stem = stem.encode()[:MAX_NAME_BYTES].decode(errors="ignore")
         with self._naming:  # two pages may send files of one name
-            if self._lock is None:
-                self._lock, self._mark = _new_lock(self._folder)
             kept = self._free_name(stem + ending)
-            path = self._folder / f"{self._mark}{kept}"
+            path = self._hidden(kept)
             self._waiting[kept] = path, page
         try:
             with file_errors():
@@ -93,7 +93,7 @@ class Uploads:
             self._waiting.pop(name, None)
 
     def drop(self, name: Any) -> None:
-        """Remove an upload that nobody wants, where it still waits."""
+        """Remove an upload, where it still waits."""
         with self._naming:
             path, _ = self._waiting.pop(name, (None, None)) if isinstance(name, str) else (None, None)
         if path is not None:
@@ -104,6 +104,23 @@ class Uploads:
         for name in [name for name, (_, owner) in list(self._waiting.items()) if owner == page]:
             self.drop(name)
 
+    @contextlib.contextmanager
+    def unfinished(self, path: pathlib.Path) -> Iterator[pathlib.Path]:
+        """A path of the same name for a file or folder, which gets its own when the block ends without an error."""
+        try:
+            with self._naming:
+                prefix = self._hidden("export-").name
+            folder = tempfile.TemporaryDirectory(prefix=prefix, dir=self._folder, ignore_cleanup_errors=True)
+        except OSError as error:
+            error.filename = str(path)  # which the user knows
+            raise
+        with folder as hidden:
+            written = pathlib.Path(hidden, path.name)
+            yield written
+            if path.is_file():
+                shutil.copymode(path, written)
+            os.replace(written, path)
+
     def close(self) -> None:
         """Remove all that waits; nothing is kept afterwards."""
         with self._naming:
@@ -112,6 +129,12 @@ class Uploads:
                 self._lock.close()
             self._lock = None
             self._waiting.clear()
+
+    def _hidden(self, name: str) -> pathlib.Path:
+        """The hidden path of a name. Needs the lock of names."""
+        if self._lock is None:
+            self._lock, self._mark = _new_lock(self._folder)
+        return self._folder / f"{self._mark}{name}"
 
     def _free_name(self, name: str) -> str:
         """A name, or with a number, that no file and no other upload has."""
@@ -124,7 +147,7 @@ class Uploads:
 
 
 def shown(text: str) -> str:
-    """A text with the names of uploads as people know them."""
+    """A text with uploads and exports by the names that users know."""
     return MARK.sub("", text)
 
 
@@ -134,38 +157,41 @@ def _new_lock(folder: pathlib.Path) -> tuple[IO[bytes], str]:
         mark = f".warpcage-upload-{secrets.token_hex(8)}-"
         path = folder / f"{mark}{LOCK}"
         file = path.open("xb")
-        _is_locked(file)
-        if path.exists():  # otherwise another editor took it for a leftover just before
+        if _is_locked(file) is not False and path.exists():  # else another editor takes it for a leftover
             return file, mark
         file.close()
 
 
-def _is_locked(file: IO[bytes]) -> bool:
-    """Lock an open file until it is closed; False where another editor has it, or where there are no locks."""
+def _is_locked(file: IO[bytes]) -> bool | None:
+    """Lock an open file until it is closed; False where another editor holds it, None where there are no locks."""
     try:
         import fcntl
 
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (ImportError, OSError):
+    except BlockingIOError:
         return False
+    except (ImportError, OSError):
+        return None
     return True
 
 
 def _remove_leftovers(folder: pathlib.Path) -> None:
-    """Remove the uploads of editors that were killed, known by their locks that nobody holds."""
+    """Remove the hidden files of editors that were killed, known by their locks, which are free."""
     with contextlib.suppress(OSError):  # a folder that cannot be read or written keeps them
         for path in list(folder.iterdir()):
             mark = MARK.match(path.name)
-            if mark is None or path.name != f"{mark[0]}{LOCK}" or path.is_symlink() or not path.is_file():
+            if mark is None or path.name != f"{mark[1]}{LOCK}" or path.is_symlink() or not path.is_file():
                 continue
             with path.open("rb") as file:
                 if _is_locked(file):
-                    _remove(folder, mark[0])
+                    _remove(folder, mark[1])
 
 
 def _remove(folder: pathlib.Path, mark: str) -> None:
-    """Remove the files whose names begin like this, the lock last."""
-    for path in list(folder.iterdir()):
-        if path.name.startswith(mark) and path.name != f"{mark}{LOCK}":
+    """Remove the files and folders whose names begin like this, the lock last."""
+    lock = folder / f"{mark}{LOCK}"
+    for path in [path for path in folder.iterdir() if path.name.startswith(mark) and path != lock] + [lock]:
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
             path.unlink(missing_ok=True)
-    (folder / f"{mark}{LOCK}").unlink(missing_ok=True)

@@ -17,14 +17,15 @@ let waiting = null; // the newest frame that is not decoded yet
 let decoding = false;
 let lastText = 0; // time of the last notice about a lost connection
 const replies = new Map(); // number -> {resolve, reject}
-const handlers = { hello: [], frame: [], vertices: [], lost: [] };
+const handlers = { hello: [], frame: [], vertices: [], lost: [], sent: [] };
 
-/** Calls handler at "hello" (message), "frame" ({header, bitmap, depth, bytes}), "vertices" ("posed" or "rest", edit, array) or "lost". */
+/** Calls handler at "hello" (message), "frame" ({header, bitmap, depth, bytes}), "vertices" ("posed" or "rest", edit, array),
+ *  "lost", or "sent" (number of a message of a drag, time of its pointer event). */
 export function when(event, handler) {
   handlers[event].push(handler);
 }
 
-const emit = (event, ...content) => handlers[event].forEach((handler) => handler(...content));
+export const emit = (event, ...content) => handlers[event].forEach((handler) => handler(...content));
 
 const guards = new Map(); // section -> function
 
@@ -66,7 +67,6 @@ export async function attempt(promise) {
 /** Sends a command and waits for its reply's result; undefined where it fails, with the error as a toast. */
 export const request = (command) => attempt(ask(command));
 
-/** The number of the next pose or view message. */
 export function nextSequence() {
   sequence += 1;
   return sequence;
@@ -95,11 +95,7 @@ export function parseFrame(buffer) {
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 16, headerBytes)));
   const jpegAt = 16 + aligned(headerBytes);
   const depthAt = jpegAt + aligned(jpegBytes);
-  return {
-    header,
-    jpeg: new Uint8Array(buffer, jpegAt, jpegBytes),
-    depth: depthBytes ? new Uint16Array(buffer, depthAt, depthBytes / 2) : null,
-  };
+  return { header, jpeg: new Uint8Array(buffer, jpegAt, jpegBytes), depth: depthBytes ? new Uint16Array(buffer, depthAt, depthBytes / 2) : null };
 }
 
 /** Decodes the newest frame; those that came meanwhile and are older are left out. */

@@ -1,7 +1,8 @@
-// The pieces that panels are made of: elements, fields and foldable groups. A field that someone types or drags in
-// keeps what is in it: `set` waits until it is let go.
+// The pieces that panels are made of: elements, fields and foldable groups. A field in use keeps what is in it:
+// `set` waits until the user leaves it.
 
 import { actions, keep, keptValues } from "./store.js";
+import { AXIS_NAMES } from "../geometry/vectors.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const FOLDED = "warpcage.folded";
@@ -30,12 +31,11 @@ export function svg(tag, attributes, ...children) {
 /** One of the pictures in icons.svg. */
 export const icon = (name) => svg("svg", { class: "icon", "aria-hidden": "true" }, svg("use", { href: `icons.svg#${name}` }));
 
-/** Shows another picture in an icon. */
 export function setIcon(picture, name) {
   picture.querySelector("use").setAttribute("href", `icons.svg#${name}`);
 }
 
-/** The text as it is, written only where it differs: what nobody changed is not drawn again. */
+/** The text as it is, written only where it differs: what stays the same is not drawn again. */
 export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
@@ -65,7 +65,6 @@ export function button({ id, label, icon: name, title, keep = !name, kind = "", 
   return element;
 }
 
-/** A row of buttons. */
 export const row = (...children) => el("div", { class: "row" }, ...children);
 
 /** A line with a label on its left. */
@@ -73,7 +72,7 @@ function labelled(label, id, title, ...controls) {
   return el("div", { class: "field", title }, el("label", { for: id }, label), el("div", { class: "value" }, ...controls));
 }
 
-/** Keeps a field from changes while someone is at it, and from being told what it has; `isTyped`: Escape takes back. */
+/** Keeps a field from changes while it is in use, and from writing what it has; `isTyped`: Escape takes back. */
 function guarded(input, read, write, isTyped) {
   let held = false;
   let waiting; // what came meanwhile
@@ -133,6 +132,16 @@ export function number({ id, label, title, min, max, step = 0.1, unit = "", valu
   const unitText = unit ? el("span", { class: "unit" }, unit) : null;
   const root = bare ? input : labelled(label, id, title, input, unitText);
   return { root, input, set };
+}
+
+/** Three numbers to type, along x, y and z. {id, label, unit, step, onChange(value, axis)} */
+export function triple({ id, label, unit = "", step, onChange }) {
+  const title = (axis) => `${label}, ${axis}${unit}: type a number and press Enter`;
+  const fields = AXIS_NAMES.map((axis, k) => number({ id: `${id}-${axis}`, label: `${label}, ${axis}`, title: title(axis), step, bare: true, onChange: (value) => onChange(value, k) }));
+  const root = el("div", { class: "place", role: "group", "aria-label": label });
+  AXIS_NAMES.forEach((axis, k) => root.append(el("label", { for: `${id}-${axis}` }, axis), fields[k].input));
+  const set = (values) => fields.forEach((field, k) => field.set(Number(short(values[k], 4))));
+  return { root, inputs: fields.map(({ input }) => input), set };
 }
 
 /** A line of text. {id, label, title, value, onChange(text)} */
@@ -236,6 +245,23 @@ export function listBox({ id, label, title, empty, onKey, make }) {
     else list.removeAttribute("aria-activedescendant");
   };
   return { parts: [list, none], show };
+}
+
+/** A row with an eye, a name and a note: choose() by a click, hide() by its eye, rename() by a double click. */
+export function listRow(id, { choose, hide, rename }, ...parts) {
+  const eye = el("span", { class: "eye", title: "Show or hide (Space)", "aria-hidden": "true", on: { click: (event) => (event.stopPropagation(), hide()) } }, icon("eye"));
+  const [name, note] = ["row-name", "row-note"].map((kind) => el("span", { class: kind }));
+  const root = el("li", { id, class: "list-row", role: "option", on: { click: choose, dblclick: rename } }, eye, name, note, ...parts);
+  const update = (item, { text, title, isChosen, label }) => {
+    setText(name, item.name);
+    setText(note, text);
+    note.title = title;
+    setIcon(eye, item.visible ? "eye" : "eye-off");
+    root.setAttribute("aria-selected", String(isChosen));
+    root.setAttribute("aria-label", `${item.name}, ${label}`);
+    root.classList.toggle("dim", !item.visible);
+  };
+  return { root, update };
 }
 
 /** Does what a table of ways has for a pressed key, and keeps that key from the page's actions. */

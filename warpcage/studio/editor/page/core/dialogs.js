@@ -6,7 +6,6 @@ import { button, check, choice, el, number, setText, text } from "./controls.js"
 const STAYS = { info: 4000, warning: 7000, error: 10000 }; // milliseconds
 const MAX_TOASTS = 4; // at once
 
-/** A short message in the corner, read out by screen readers; it goes by itself. */
 export function toast(message, level = "info") {
   const list = document.getElementById("toasts");
   const same = [...list.children].find(({ dataset }) => dataset.text === message);
@@ -73,7 +72,7 @@ function contentOf({ input }, { type, choices }) {
  * or null where it was left. note: what is said of the values as they are now.
  * send(values): what is done with them, a promise; while it fails the dialog stays with what was typed and says why.
  */
-export function askFor({ title, text: intro, fields, note: tell = null, confirm = "OK", send = null }) {
+export function askFor({ title, text: intro, fields, note: describe = null, confirm = "OK", send = null }) {
   return new Promise((resolve) => {
     let result = null;
     const controls = fields.map((field) => fieldOf(field));
@@ -91,13 +90,13 @@ export function askFor({ title, text: intro, fields, note: tell = null, confirm 
     const no = button({ id: "dialog-cancel", label: "Cancel", title: "Cancel (Escape)", onClick: () => close() });
     const failed = el("p", { id: "dialog-error", class: "dialog-error", role: "alert" });
     failed.hidden = true;
-    const told = el("p", { id: "dialog-note", "aria-live": "polite" });
-    body.append(...(tell ? [told] : []), failed);
+    const noteLine = el("p", { id: "dialog-note", "aria-live": "polite" });
+    body.append(...(describe ? [noteLine] : []), failed);
     const valuesNow = () => Object.fromEntries(fields.map((field, index) => [field.name, contentOf(controls[index], field)]));
     const show = () => {
       const values = valuesNow();
       fields.forEach(({ shown }, index) => shown && (controls[index].root.hidden = !shown(values)));
-      if (tell) setText(told, tell(values));
+      if (describe) setText(noteLine, describe(values));
     };
     show();
     const stop = store.on("status", show); // which pictures have come
@@ -131,7 +130,6 @@ export function askFor({ title, text: intro, fields, note: tell = null, confirm 
   });
 }
 
-/** Asks whether to go on: a promise of true or false. */
 export async function confirmThat(title, question, confirm) {
   return (await askFor({ title, text: question, fields: [], confirm })) !== null;
 }
@@ -152,18 +150,10 @@ export async function copyText(content) {
   toast("Copied.");
 }
 
-/** Shows a text that can be copied. */
 export function showText(title, intro, content) {
   const area = el("textarea", { id: "dialog-text", readonly: true, rows: 4, "aria-label": title, spellcheck: "false" });
   area.value = content;
-  const copy = button({
-    id: "dialog-copy",
-    label: "Copy",
-    icon: "copy",
-    keep: true,
-    kind: "primary",
-    onClick: () => copyText(content),
-  });
+  const copy = button({ id: "dialog-copy", label: "Copy", icon: "copy", keep: true, kind: "primary", onClick: () => copyText(content) });
   const body = el("div", { class: "dialog-body" }, el("p", {}, intro), area);
   const done = button({ label: "Close", title: "Close (Escape)", onClick: () => opened.close() });
   const opened = open(title, body, [done, copy], { wide: true });
@@ -206,7 +196,6 @@ function keyRow(keys, label) {
   return el("div", { class: "key-row" }, el("dt", {}, ...shown), el("dd", {}, label));
 }
 
-/** All actions with their keys, by group. */
 export function showHelp() {
   const groups = new Map();
   for (const { label, keys, group } of actions.values()) {

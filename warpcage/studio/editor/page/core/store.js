@@ -54,7 +54,6 @@ export function kept(name) {
   }
 }
 
-/** Keeps a text in this browser. */
 export function keep(name, text) {
   try {
     localStorage.setItem(name, text);
@@ -84,7 +83,7 @@ function keptTools() {
 
 const listeners = new Map(); // name -> Set of functions
 
-function tell(name, content) {
+function notify(name, content) {
   for (const listener of [...(listeners.get(name) ?? [])]) listener(content, name);
   for (const listener of [...(listeners.get("*") ?? [])]) listener(content, name);
 }
@@ -101,10 +100,15 @@ export const store = {
     return () => listeners.get(name).delete(listener);
   },
 
-  /** Takes a section's new content. */
+  /** Calls listener() now, and whenever one of these changes. */
+  follow(names, listener) {
+    for (const name of names) store.on(name, listener);
+    listener();
+  },
+
   set(name, content) {
     store.sections[name] = content;
-    tell(name, content);
+    notify(name, content);
   },
 
   /** Changes one of this page's tools and keeps it in the browser. */
@@ -113,17 +117,15 @@ export const store = {
     if (store.tools[name] === value) return;
     store.tools[name] = value;
     keep(KEPT, JSON.stringify(store.tools));
-    tell("tools", store.tools);
+    notify("tools", store.tools);
   },
 
-  /** Changes parts of the status: {connected: true}. */
   setStatus(changes) {
     Object.assign(store.status, changes);
-    tell("status", store.status);
+    notify("status", store.status);
   },
 };
 
-/** The active edit as the server has it, or null. */
 export function activeEdit() {
   const { edits = [], selection } = store.sections;
   return edits.find(({ id }) => id === selection?.edit) ?? null;
@@ -135,7 +137,6 @@ export const withActiveEdit = (work) => (...given) => {
   if (edit) work(edit, ...given);
 };
 
-/** The numbers of the selected vertices of the active edit. */
 export const selectedVertices = () => store.sections.selection?.vertices ?? [];
 
 /** name -> {label, keys: ["Ctrl+Z"], group, run(event), enabled?(), repeat?: true where a held key runs it again} */
@@ -158,5 +159,4 @@ export function run(name, event) {
   return true;
 }
 
-/** The name of the action of a key, if there is one. */
 export const actionOf = (key) => byKey.get(key);

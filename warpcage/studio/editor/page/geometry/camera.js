@@ -1,4 +1,4 @@
-// A view {eye, target, up, fov} as a camera: points to pixels, pixels to rays; and views moved by the hand.
+// A view {eye, target, up, fov} as a camera: points to pixels, pixels to rays; and views that drags move.
 
 import { add, bounds, cross, dot, length, perpendicular, rotate, subtract, times, unit } from "./vectors.js";
 
@@ -37,7 +37,6 @@ export function projectAll(camera, points) {
   return out;
 }
 
-/** The unit direction of the ray through a pixel. */
 export function rayThrough(camera, x, y) {
   const across = times(camera.right, (x - camera.width / 2) / camera.focal);
   const upward = times(camera.up, (camera.height / 2 - y) / camera.focal);
@@ -52,7 +51,7 @@ export function orbit(view, across, upward, worldUp) {
   const vertical = unit(worldUp);
   let back = subtract(view.eye, view.target);
   let up = perpendicular(unit(times(back, -1)), view.up);
-  const sense = dot(up, vertical) < -1e-9 ? 1 : -1; // upside down, the hand still pushes what is in front
+  const sense = dot(up, vertical) < -1e-9 ? 1 : -1; // upside down, a drag still pushes what is in front
   back = rotate(back, vertical, sense * across);
   up = rotate(up, vertical, sense * across);
   const right = cross(unit(times(back, -1)), up);
@@ -64,7 +63,7 @@ export function orbit(view, across, upward, worldUp) {
   return { ...view, eye: add(view.target, back), up: perpendicular(unit(times(back, -1)), up) };
 }
 
-/** The view moved sideways so that what is at the target's distance follows the hand by these pixels. */
+/** The view moved sideways so that what is at the target's distance moves by these pixels. */
 export function pan(view, dx, dy, height) {
   const camera = makeCamera(view, height, height);
   const size = length(subtract(view.target, view.eye)) / camera.focal;

@@ -26,7 +26,6 @@ export function toSegment(x, y, x0, y0, x1, y1) {
   return [Math.hypot(x - x0 - t * dx, y - y0 - t * dy), t];
 }
 
-/** The edge nearest to a pixel within a radius; -1 where there is none. */
 export function edgeAt(screen, edges, x, y, radius, allowed = everything) {
   let best = -1;
   let least = Infinity;
@@ -41,7 +40,6 @@ export function edgeAt(screen, edges, x, y, radius, allowed = everything) {
   return best;
 }
 
-/** The foremost face over a pixel; -1 where there is none. */
 export function faceAt(screen, faces, x, y, allowed = everything) {
   let best = -1;
   let least = Infinity;

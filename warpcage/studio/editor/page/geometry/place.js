@@ -2,7 +2,6 @@
 
 import { add, dot, mean, point, subtract, times } from "./vectors.js";
 
-/** A point of an object in the scene. */
 export const placed = (matrix, p) => [0, 1, 2].map((k) => dot(matrix[k], p) + matrix[k][3]);
 
 /** How many times as large a place makes its object. */
@@ -37,8 +36,8 @@ export function cornersOf([lower, upper]) {
   });
 }
 
-/** The edges of a box by the numbers of its corners, and its faces as triangles. */
-export const BOX_EDGES = [0, 1, 2].flatMap((k) => [0, 1, 2, 3, 4, 5, 6, 7].filter((i) => !(i & (1 << k))).map((i) => [i, i | (1 << k)]));
+/** The edges of a box by the numbers of their corners, flat pairs. */
+export const BOX_EDGES = [0, 1, 2].flatMap((k) => [0, 1, 2, 3, 4, 5, 6, 7].filter((i) => !(i & (1 << k))).flatMap((i) => [i, i | (1 << k)]));
 
 const determinant = ([a, b, c]) => a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
 

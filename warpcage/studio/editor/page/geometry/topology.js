@@ -45,7 +45,6 @@ export function linked(topology, selected) {
   return new Set(Array.from({ length: topology.count }, (_, i) => i).filter((i) => wanted.has(topology.parts[i])));
 }
 
-/** The selection and its neighbors. */
 export function grow(topology, selected) {
   const out = new Set(selected);
   for (const i of selected) for (const n of topology.neighbors[i]) out.add(n);
@@ -57,7 +56,6 @@ export function shrink(topology, selected) {
   return new Set([...selected].filter((i) => topology.neighbors[i].every((n) => selected.has(n))));
 }
 
-/** All that is not selected. */
 export function invert(topology, selected) {
   return new Set(Array.from({ length: topology.count }, (_, i) => i).filter((i) => !selected.has(i)));
 }

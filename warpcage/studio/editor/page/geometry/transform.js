@@ -101,7 +101,6 @@ export function leadingSide(rest, mirror, selected, active = -1) {
   return sum < 0 ? -1 : 1;
 }
 
-/** The selection with the partners of all in it. */
 export function withPartners(mirror, selected) {
   const out = new Set(selected);
   for (const i of selected) if (mirror.partners[i] >= 0) out.add(mirror.partners[i]);
@@ -124,7 +123,6 @@ export function mirrored(rest, start, result, mirror, side) {
   return out;
 }
 
-/** A number in whole steps. */
 export const snapped = (value, step) => (step > 0 ? Math.round(value / step) * step : value);
 
 /** Three unit axes: of the world, of the view's camera, or of the selection (z along its normal). */

@@ -1,8 +1,6 @@
 // Vectors of three numbers, [x, y, z], and rotations. Points of a cage are flat: x0, y0, z0, x1, ...
 
-/** The axes of the world. */
 export const AXES = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
-/** Their names, in order. */
 export const AXIS_NAMES = Object.keys(AXES);
 
 export const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
@@ -32,7 +30,7 @@ export function perpendicular(a, wish) {
   return [...AXES.x];
 }
 
-/** A vector rotated about a unit axis (right-handed, radians). */
+/** Right-handed about a unit axis, radians. */
 export function rotate(a, axis, angle) {
   const c = Math.cos(angle);
   const s = Math.sin(angle);
@@ -41,17 +39,14 @@ export function rotate(a, axis, angle) {
   return [0, 1, 2].map((i) => a[i] * c + w[i] * s + axis[i] * k);
 }
 
-/** Point number i of a flat array. */
 export const point = (points, i) => [points[3 * i], points[3 * i + 1], points[3 * i + 2]];
 
-/** The mean of the points with these numbers. */
 export function mean(points, numbers) {
   const sum = [0, 0, 0];
   for (const i of numbers) for (let k = 0; k < 3; k += 1) sum[k] += points[3 * i + k];
   return times(sum, 1 / Math.max(1, numbers.length));
 }
 
-/** Lower and upper corner of flat points. */
 export function bounds(points) {
   const lower = [Infinity, Infinity, Infinity];
   const upper = [-Infinity, -Infinity, -Infinity];

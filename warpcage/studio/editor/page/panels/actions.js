@@ -58,15 +58,10 @@ const toggle = (name) => () => store.setTool(name, !store.tools[name]);
 const cycle = (name) => () => store.setTool(name, next(choices[name].map(([value]) => value), store.tools[name]));
 
 for (const [name, label, keys] of [["undo", "Undo", ["Ctrl+Z"]], ["redo", "Redo", ["Ctrl+Shift+Z", "Ctrl+Y"]]]) {
-  // asked even where the page knows of no step: the one just made may not have been heard of yet
+  // sent even where the page knows of no step: that just made may not have arrived yet
   register(name, { label, keys, group: "Edit", repeat: true, run: () => request({ do: name }) });
 }
-register("key.insert", {
-  label: "Add a key of pose and camera at the current time",
-  keys: ["K"],
-  group: "Timeline",
-  run: () => add(true, true),
-});
+register("key.insert", { label: "Add a key of pose and camera at the current time", keys: ["K"], group: "Timeline", run: () => add(true, true) });
 register("play", {
   label: "Play or pause",
   keys: ["Space"],

@@ -23,6 +23,13 @@ const AROUND = [
   ["none", "The object that I click, in the air"],
 ];
 
+const SYMMETRIES = [
+  [null, "None"],
+  ["x", "Left and right alike (x)"],
+  ["y", "y"],
+  ["z", "z"],
+];
+
 const clickHint = () => `${isBrush() ? "Paint over" : "Click"} the object in the picture; Escape leaves it.`;
 
 /** For which edit a new cage is: a field of a dialog. One that keys hold poses of is not replaced unasked. */
@@ -50,18 +57,7 @@ async function generate() {
       { name: "count", label: "Vertices", type: "number", value: 100, min: 8, max: 2000, step: 1, help: "Approximate. Few are easy to pose, many follow details." },
       { name: "margin", label: "Margin", type: "number", value: null, min: 0, max: 100, step: 0.5, unit: "voxels", optional: true, help: "Gap between object and cage. Empty: automatic." },
       { name: "method", label: "Method", type: "choice", value: "auto", choices: METHODS },
-      {
-        name: "symmetry",
-        label: "Symmetry",
-        type: "choice",
-        value: null,
-        choices: [
-          [null, "None"],
-          ["x", "Left and right alike (x)"],
-          ["y", "y"],
-          ["z", "z"],
-        ],
-      },
+      { name: "symmetry", label: "Symmetry", type: "choice", value: null, choices: SYMMETRIES },
     ],
     confirm: "Generate",
   });
@@ -187,7 +183,6 @@ function verdictOf({ problem, crossing_faces: crossing = [], folded_share: folde
 
 const VERDICTS = { pending: "Checking…", good: "Check: all well", warn: "Check: is this intended?", bad: "Check: fix this" };
 
-/** The group of the cage: {root, start()}. */
 export function cageGroup() {
   const upload = uploadField("cage-upload-file", "Cage file", ".obj,.ply,.off,.glb,.gltf", loadCage);
   const size = el("p", { id: "cage-size", class: "note" });
@@ -245,12 +240,6 @@ export function cageGroup() {
     const texts = [...found.children].map((line) => line.textContent);
     if (texts.join("\n") !== lines.join("\n")) found.replaceChildren(...lines.map((line) => el("li", {}, line)));
   };
-  const start = () => {
-    store.on("edits", showCage);
-    store.on("selection", () => (showCage(), showCheck()));
-    store.on("check", showCheck);
-    showCage();
-    showCheck();
-  };
+  const start = () => (store.follow(["edits", "selection"], showCage), store.follow(["selection", "check"], showCheck));
   return { root: made.root, start };
 }

@@ -6,7 +6,7 @@ import { askFor, confirmThat } from "../core/dialogs.js";
 import { activeObject } from "../view/objects.js";
 import { counted, keysOf } from "./keys.js";
 import { deformationFields } from "./picture.js";
-import { button, choice, el, followKey, group, icon, listBox, number, setIcon, setText, text } from "../core/controls.js";
+import { button, choice, el, followKey, group, listBox, listRow, number, setIcon, setText, text } from "../core/controls.js";
 
 const KINDS = [
   ["move", "Move"],
@@ -22,6 +22,11 @@ const MEANINGS = {
 const HELD = [
   ["cut", "That cut through the object"],
   ["still", "That are not moved"],
+];
+const SHAPES = [
+  ["box", "Box"],
+  ["cylinder", "Cylinder"],
+  ["icosphere", "Ball"],
 ];
 
 const change = (id, changes) => request({ do: "edit.change", id, ...changes });
@@ -60,17 +65,7 @@ async function add() {
     text: "A simple cage in the middle of the object; fit it in the mode Rest. For one that fits by itself: Cage, Generate.",
     fields: [
       { name: "kind", label: "What it does", type: "choice", value: "move", choices: KINDS },
-      {
-        name: "shape",
-        label: "Shape",
-        type: "choice",
-        value: "box",
-        choices: [
-          ["box", "Box"],
-          ["cylinder", "Cylinder"],
-          ["icosphere", "Ball"],
-        ],
-      },
+      { name: "shape", label: "Shape", type: "choice", value: "box", choices: SHAPES },
       { name: "share", label: "Size", type: "number", value: 50, min: 1, max: 120, step: 5, unit: "% of the object" },
     ],
     confirm: "Add",
@@ -81,29 +76,17 @@ async function add() {
   request({ do: "edit.add", kind: given.kind, shape: given.shape, lower: corner(-1), upper: corner(1) });
 }
 
+const rename = () => document.getElementById("edit-name").select();
+const toggle = (edit) => change(edit.id, { visible: !edit.visible });
+
 function makeRow({ id }) {
-  const eye = el("span", { class: "eye", title: "Show or hide (Space)", "aria-hidden": "true" });
-  eye.append(icon("eye"));
-  const name = el("span", { class: "row-name" });
-  const kind = el("span", { class: "row-note" });
-  const root = el("li", { id: `edit-${id}`, class: "list-row", role: "option" }, eye, name, kind);
+  const hide = () => toggle(store.sections.edits.find((one) => one.id === id));
+  const { root, update: show } = listRow(`edit-${id}`, { choose: () => activate(id), hide, rename });
   root.dataset.edit = id;
-  eye.addEventListener("click", (event) => {
-    event.stopPropagation();
-    const edit = store.sections.edits.find((one) => one.id === id);
-    change(id, { visible: !edit.visible });
-  });
-  root.addEventListener("click", () => activate(id));
-  root.addEventListener("dblclick", () => document.getElementById("edit-name").select());
   const update = (edit) => {
-    const isActive = store.sections.selection?.edit === id;
-    setText(name, edit.name);
-    setText(kind, `${edit.kind} · ${edit.rest.length}`);
-    kind.title = `${edit.kind}, ${edit.rest.length} vertices`;
-    setIcon(eye, edit.visible ? "eye" : "eye-off");
-    root.setAttribute("aria-selected", String(isActive));
-    root.setAttribute("aria-label", `${edit.name}, ${edit.kind}, ${edit.rest.length} vertices, ${edit.visible ? "shown" : "hidden"}`);
-    root.classList.toggle("dim", !edit.visible);
+    const title = `${edit.kind}, ${edit.rest.length} vertices`;
+    const label = `${title}, ${edit.visible ? "shown" : "hidden"}`;
+    show(edit, { text: `${edit.kind} · ${edit.rest.length}`, title, label, isChosen: store.sections.selection?.edit === id });
   };
   return { root, update };
 }
@@ -119,15 +102,14 @@ function onListKey(event) {
     ArrowDown: () => (event.altKey ? shift(edit.id, 1) : go(at + 1)),
     Home: () => go(0),
     End: () => go(edits.length - 1),
-    " ": () => change(edit.id, { visible: !edit.visible }),
-    Enter: () => document.getElementById("edit-name").select(),
-    F2: () => document.getElementById("edit-name").select(),
+    " ": () => toggle(edit),
+    Enter: rename,
+    F2: rename,
     Delete: () => remove(edit),
   };
   followKey(ways, event);
 }
 
-/** The group of the edits: {root, start()}. */
 export function editsGroup() {
   const list = listBox({
     id: "edit-list",
@@ -141,26 +123,10 @@ export function editsGroup() {
   const kind = choice({ id: "edit-kind", label: "What this cage does", title: "What the active edit does", options: KINDS, onChange: changeTo("kind") });
   const meaning = el("p", { class: "note", id: "edit-meaning" });
   const length = (options) => number({ min: 0, step: 0.05, unit: "units", ...options });
-  const falloff = length({
-    id: "edit-falloff",
-    label: "Fade",
-    title: "Width over which the movement fades out at sides of the cage, so that the part does not tear off. 0: no fading",
-    onChange: changeTo("falloff"),
-  });
-  const held = choice({
-    id: "edit-held",
-    label: "Fade at sides",
-    title: "At which sides of the cage the movement fades out",
-    options: HELD,
-    onChange: changeTo("held"),
-  });
-  const fragments = length({
-    id: "edit-fragments",
-    label: "Take loose pieces along, up to",
-    title: "Pieces outside the cage that touch only this part and are smaller than this move with it. 0: they stay",
-    onChange: changeTo("fragments"),
-  });
-  const shown = button({ id: "edit-visible", label: "Shown", icon: "eye", title: "Turn the active edit on or off", onClick: withActiveEdit((edit) => change(edit.id, { visible: !edit.visible })) });
+  const falloff = length({ id: "edit-falloff", label: "Fade", title: "Width over which the movement fades out at sides of the cage, so that the part does not tear off. 0: no fading", onChange: changeTo("falloff") });
+  const held = choice({ id: "edit-held", label: "Fade at sides", title: "At which sides of the cage the movement fades out", options: HELD, onChange: changeTo("held") });
+  const fragments = length({ id: "edit-fragments", label: "Take loose pieces along, up to", title: "Pieces outside the cage that touch only this part and are smaller than this move with it. 0: they stay", onChange: changeTo("fragments") });
+  const shown = button({ id: "edit-visible", label: "Shown", icon: "eye", title: "Turn the active edit on or off", onClick: withActiveEdit(toggle) });
   const tools = el(
     "div",
     { class: "row tight" },
@@ -197,11 +163,5 @@ export function editsGroup() {
     setIcon(shown, edit.visible ? "eye" : "eye-off");
     shown.setAttribute("aria-pressed", String(edit.visible));
   };
-  const start = () => {
-    store.on("edits", show);
-    store.on("selection", show);
-    deformation.start();
-    show();
-  };
-  return { root: made.root, start };
+  return { root: made.root, start: () => (deformation.start(), store.follow(["edits", "selection"], show)) };
 }

@@ -6,7 +6,7 @@ import { askFor, copyText, toast } from "../core/dialogs.js";
 import { button, choice, el, followKey, group, icon, listBox, number, row, rows, setText, short, text, titleOf } from "../core/controls.js";
 import { loadFrom, uploadField } from "./cage.js";
 import { EXPORTS, exportFilm } from "./exports.js";
-import { EASINGS, LOOPS, add, change, choose, chosenKey, counted, ease, easingWord, film, goTo, holds, jump, keysOf, onChosen, remove, seconds } from "./keys.js";
+import { EASINGS, LOOPS, add, change, choose, chosenKey, counted, ease, easingName, film, goTo, holds, jump, keysOf, onChosen, remove, seconds } from "./keys.js";
 
 function makeKeyRow({ id }) {
   const time = el("span", { class: "row-note time" });
@@ -23,17 +23,17 @@ function makeKeyRow({ id }) {
   const update = (key) => {
     setText(time, seconds(key.time));
     setText(name, key.name);
-    setText(easing, EASINGS.find(([value]) => value === easingWord(key.easing))?.[1] ?? key.easing);
+    setText(easing, EASINGS.find(([value]) => value === easingName(key.easing))?.[1] ?? key.easing);
     marks.children[0].classList.toggle("off", !key.pose);
     marks.children[1].classList.toggle("off", !key.camera);
     const isChosen = chosenKey()?.id === id;
     root.setAttribute("aria-selected", String(isChosen));
-    root.setAttribute("aria-label", `${key.name} at ${seconds(key.time)}, ${holds(key)}, ${easingWord(key.easing)}`);
+    root.setAttribute("aria-label", `${key.name} at ${seconds(key.time)}, ${holds(key)}, ${easingName(key.easing)}`);
   };
   return { root, update };
 }
 
-/** Moves of a camera, by their words: as `warpcage animate --cameras` has them. */
+/** Moves of a camera, as `warpcage animate --cameras` names them. */
 const MOVES = [
   ["turn", "Turn, within what the photos show"],
   ["turn:360", "Full turn, 360°"],
@@ -55,15 +55,14 @@ async function moveCamera() {
     text: `Starts from the current view, moves about its center and lasts the whole film, ${seconds(length)}.${cameras.length ? ` It replaces the cameras of ${counted(cameras)}; undo brings them back.` : ""}`,
     fields: [
       { name: "move", label: "Move", type: "choice", value: "turn", choices: MOVES },
-      { name: "words", label: "Or typed", type: "text", value: "", optional: true, help: "turn:DEGREES, dolly:SHARE, crane:DEGREES, hand-held:SEED or follow, several joined by +: dolly:0.7+hand-held." },
+      { name: "typed", label: "Or typed", type: "text", value: "", optional: true, help: "turn:DEGREES, dolly:SHARE, crane:DEGREES, hand-held:SEED or follow, several joined by +: dolly:0.7+hand-held." },
     ],
     confirm: "Make keys",
-    send: async ({ words, move }) => (result = await ask({ do: "camera.move", move: words || move })),
+    send: async ({ typed, move }) => (result = await ask({ do: "camera.move", move: typed || move })),
   });
   if (result?.note) toast(result.note);
 }
 
-/** The group of the keys: {root, start()}. */
 export function keysGroup() {
   const onKey = (event) => {
     const ways = { ArrowUp: () => jump(-1), ArrowDown: () => jump(1), Delete: remove, Enter: () => document.getElementById("key-name").select() };
@@ -112,25 +111,19 @@ export function keysGroup() {
     document.getElementById(`key-${key.id}`)?.scrollIntoView({ block: "nearest" });
     name.set(key.name);
     time.set(key.time);
-    easing.set(easingWord(key.easing));
+    easing.set(easingName(key.easing));
     curve.root.hidden = !key.easing.bezier;
     curve.set(key.easing.bezier?.map((number) => short(number)).join(", ") ?? "");
   };
-  const start = () => {
-    store.on("timeline", show);
-    onChosen(show);
-    show();
-  };
-  return { root: made.root, start };
+  return { root: made.root, start: () => (onChosen(show), store.follow(["timeline"], show)) };
 }
 
-/** What loading poses takes the place of, in words; null: nothing. */
+/** A line on what loading poses replaces, or null. */
 function replaced() {
   const keys = keysOf(activeEdit());
   return keys.length ? `Poses of the file replace those that ${counted(keys)} ${keys.length === 1 ? "holds" : "hold"}, as do cameras, where it has some; undo brings them back.` : null;
 }
 
-/** The group of the film: {root, start()}. */
 export function filmGroup() {
   const length = number({ id: "film-length", label: "Length", title: "Length of the film: its last key's time until you set another, and no shorter", min: 0.1, max: 3600, step: 0.5, unit: "s", onChange: (value) => request({ do: "timeline", length: value }) });
   const fps = number({ id: "film-fps", label: "Frame rate", title: "Frames per second", min: 1, max: 240, step: 1, unit: "fps", onChange: (value) => request({ do: "timeline", fps: value }) });
@@ -150,11 +143,7 @@ export function filmGroup() {
     fps.set(rate);
     loop.set(way);
   };
-  const start = () => {
-    store.on("timeline", show);
-    show();
-  };
-  return { root: made.root, start };
+  return { root: made.root, start: () => store.follow(["timeline"], show) };
 }
 
 /** Makes rows of jobs: `place` begins their ids, `clear` takes one off. */
@@ -176,8 +165,8 @@ const jobRows = (place, clearing, clear) => ({ id }) => {
     if (job.share === null || job.share === undefined) bar.removeAttribute("value");
     else bar.value = job.share;
     bar.setAttribute("aria-label", `Progress of ${job.name}`);
-    const words = { done: "Done", failed: "Failed", cancelled: "Cancelled" };
-    const texts = isRunning ? [job.text] : [job.state === "failed" ? null : words[job.state], job.result ?? job.text];
+    const ends = { done: "Done", failed: "Failed", cancelled: "Cancelled" };
+    const texts = isRunning ? [job.text] : [job.state === "failed" ? null : ends[job.state], job.result ?? job.text];
     setText(note, texts.filter(Boolean).join(": "));
     download.hidden = !job.download;
     if (job.download) {
@@ -219,10 +208,5 @@ export function jobsGroup() {
     if (running > before) made.root.open = true;
     before = running;
   };
-  const start = () => {
-    store.on("session", showFolder);
-    store.on("jobs", show);
-    show();
-  };
-  return { root: made.root, start };
+  return { root: made.root, start: () => (store.on("session", showFolder), store.follow(["jobs"], show)) };
 }

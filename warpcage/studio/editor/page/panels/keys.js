@@ -16,11 +16,11 @@ export const EASINGS = [
   ["bezier", "Custom curve"],
 ];
 
-/** Curves that words are, or are near to: what a curve of one's own begins with. */
+/** The curves that these easings are, or are near to: a custom curve begins with one. */
 const CURVES = { linear: [1 / 3, 1 / 3, 2 / 3, 2 / 3], "ease-in": [1 / 3, 0, 2 / 3, 1 / 3], "ease-out": [1 / 3, 2 / 3, 2 / 3, 1], smooth: [1 / 3, 0, 2 / 3, 1] };
 
-/** The word of an easing: "bezier" for a curve {bezier: [x1, y1, x2, y2]}. */
-export const easingWord = (easing) => (typeof easing === "string" ? easing : "bezier");
+/** The name of an easing: "bezier" for a curve {bezier: [x1, y1, x2, y2]}. */
+export const easingName = (easing) => (typeof easing === "string" ? easing : "bezier");
 export const LOOPS = [
   ["once", "Once"],
   ["loop", "Loop"],
@@ -41,10 +41,9 @@ let timer = 0;
 /** The present time in seconds; while the head is moved here, where it was put. */
 export const now = () => (performance.now() < asked.until ? asked.time : (store.sections.playback?.time ?? 0));
 
-/** The chosen key, or null. */
 export const chosenKey = () => film().keys.find(({ id }) => id === chosen) ?? null;
 
-const tell = () => listeners.forEach((listener) => listener());
+const notify = () => listeners.forEach((listener) => listener());
 
 /** Calls listener() when another key is chosen, or the head stands still again. */
 export const onChosen = (listener) => listeners.add(listener);
@@ -53,10 +52,9 @@ export const onChosen = (listener) => listeners.add(listener);
 export function choose(id) {
   if (id === chosen) return;
   chosen = id;
-  tell();
+  notify();
 }
 
-/** The key at a time, or null. */
 export function keyAt(time) {
   const { keys, fps } = film();
   return keys.find((key) => Math.abs(key.time - time) < 0.5 / fps) ?? null;
@@ -79,7 +77,7 @@ export function goTo(time) {
   if (store.sections.playback?.playing) send({ do: "play", on: false });
   asked = { time: to, until: performance.now() + SETTLES };
   clearTimeout(timer);
-  timer = setTimeout(tell, SETTLES + 20);
+  timer = setTimeout(notify, SETTLES + 20);
   store.set("playback", { ...store.sections.playback, time: to, playing: false });
   choose(keyAt(to)?.id ?? null);
   sendTime(to);
@@ -107,17 +105,16 @@ export async function add(pose, camera) {
   choose(keyAt(time)?.id ?? chosen);
 }
 
-/** Changes the chosen key. */
 export function change(changes) {
   const key = chosenKey();
   return key ? request({ do: "key.change", id: key.id, ...changes }) : null;
 }
 
-/** Gives the chosen key the easing of a word; a curve of one's own begins as the way was. */
-export function ease(word) {
+/** Gives the chosen key the easing of this name; a custom curve begins like the easing before. */
+export function ease(name) {
   const before = chosenKey()?.easing;
   const curve = before?.bezier ?? (CURVES[before] ?? CURVES.smooth).map((number) => Math.round(100 * number) / 100);
-  change({ easing: word === "bezier" ? { bezier: curve } : word });
+  change({ easing: name === "bezier" ? { bezier: curve } : name });
 }
 
 /** Deletes the chosen key; undo brings it back. */
@@ -135,7 +132,7 @@ export const keysOf = (edit) => film().keys.filter(({ edits }) => edits.includes
 /** Seconds as text: "1.25 s". */
 export const seconds = (time) => `${short(time, 2)} s`;
 
-/** What a key holds, in words. */
+/** What a key holds, as text. */
 export function holds({ pose, camera }) {
   return pose && camera ? "pose and camera" : pose ? "pose" : "camera";
 }

@@ -3,8 +3,7 @@
 import { store } from "../core/store.js";
 import { ask, request } from "../core/connection.js";
 import { askFor, confirmThat, toast } from "../core/dialogs.js";
-import { button, el, followKey, group, icon, listBox, number, perPicture, setIcon, setText, short, text } from "../core/controls.js";
-import { AXIS_NAMES } from "../geometry/vectors.js";
+import { button, el, followKey, group, icon, listBox, listRow, number, perPicture, setIcon, setText, text, triple } from "../core/controls.js";
 import { activeObject, choose, objects } from "../view/objects.js";
 import { uploadField } from "./cage.js";
 import { counted, film } from "./keys.js";
@@ -72,33 +71,19 @@ async function saveStage() {
   if (given) toast(`${nameOf(given.file)} is written.`);
 }
 
+const rename = () => document.getElementById("object-name").select();
+
 function makeRow({ id }) {
-  const eye = el("span", { class: "eye", title: "Show or hide (Space)", "aria-hidden": "true" });
-  eye.append(icon("eye"));
-  const name = el("span", { class: "row-name" });
-  const note = el("span", { class: "row-note" });
-  const lock = el("span", { class: "eye lock", title: "Lock or unlock its position", "aria-hidden": "true" });
-  lock.append(icon("unlock"));
-  const root = el("li", { id: `object-${id}`, class: "list-row", role: "option" }, eye, name, note, lock);
-  const now = () => objects().find((object) => object.id === id);
-  const toggle = (flag) => (event) => {
-    event.stopPropagation();
-    change(id, { [flag]: !now()[flag] });
-  };
-  eye.addEventListener("click", toggle("visible"));
-  lock.addEventListener("click", toggle("locked"));
-  root.addEventListener("click", () => choose(id));
-  root.addEventListener("dblclick", () => document.getElementById("object-name").select());
+  const toggle = (flag) => change(id, { [flag]: !objects().find((object) => object.id === id)[flag] });
+  const onLock = (event) => (event.stopPropagation(), toggle("locked"));
+  const lock = el("span", { class: "eye lock", title: "Lock or unlock its position", "aria-hidden": "true", on: { click: onLock } }, icon("unlock"));
+  const { root, update: show } = listRow(`object-${id}`, { choose: () => choose(id), hide: () => toggle("visible"), rename }, lock);
   const update = (object) => {
-    setText(name, object.name);
-    setText(note, object.size.split(" ").at(-1)); // voxels or splats
-    note.title = object.size;
-    setIcon(eye, object.visible ? "eye" : "eye-off");
+    const label = `${object.size}, ${object.visible ? "shown" : "hidden"}${object.locked ? ", locked" : ""}`;
+    const text = object.size.split(" ").at(-1); // voxels or splats
+    show(object, { text, title: object.size, label, isChosen: store.sections.selection?.object === id });
     setIcon(lock, object.locked ? "lock" : "unlock");
     lock.classList.toggle("off", !object.locked);
-    root.setAttribute("aria-selected", String(store.sections.selection?.object === id));
-    root.setAttribute("aria-label", `${object.name}, ${object.size}, ${object.visible ? "shown" : "hidden"}${object.locked ? ", locked" : ""}`);
-    root.classList.toggle("dim", !object.visible);
   };
   return { root, update };
 }
@@ -112,8 +97,8 @@ function onListKey(event) {
     ArrowUp: () => go(-1),
     ArrowDown: () => go(1),
     " ": () => change(object.id, { visible: !object.visible }),
-    Enter: () => document.getElementById("object-name").select(),
-    F2: () => document.getElementById("object-name").select(),
+    Enter: rename,
+    F2: rename,
     Delete: () => object.id !== OWN && remove(object),
   };
   followKey(ways, event);
@@ -122,37 +107,22 @@ function onListKey(event) {
 /** The numbers of the active object's place: {nodes, show}. */
 function placeFields() {
   const put = (changes) => withObject((object) => change(object.id, { place: { ...object.place, ...changes(object.place) } }))();
-  const triple = (word, label, unit, step) => {
-    const fields = AXIS_NAMES.map((axis, i) =>
-      number({
-        id: `object-${word}-${axis}`,
-        step,
-        label: `${label}, ${axis}`,
-        title: `${label}, ${axis}${unit}: type a number and press Enter`,
-        bare: true,
-        onChange: (value) => put((place) => ({ [word]: place[word].map((old, k) => (k === i ? value : old)) })),
-      }),
-    );
-    const root = el("div", { class: "place", role: "group", "aria-label": label });
-    AXIS_NAMES.forEach((axis, i) => root.append(el("label", { for: `object-${word}-${axis}` }, axis), fields[i].input));
-    return { root, show: (values) => fields.forEach((field, i) => field.set(Number(short(values[i], 4)))), inputs: fields.map(({ input }) => input) };
-  };
-  const position = triple("position", "Position", "", 0.1);
-  const turn = triple("turn", "Rotation", ", degrees about the scene's axes, x first", 5);
+  const part = (name, label, unit, step) => triple({ id: `object-${name}`, label, unit, step, onChange: (value, k) => put((place) => ({ [name]: place[name].with(k, value) })) });
+  const position = part("position", "Position", "", 0.1);
+  const turn = part("turn", "Rotation", ", degrees about the scene's axes, x first", 5);
   const scale = number({ id: "object-scale", label: "Scale", title: "Size compared with its own file", min: 1e-6, max: 1e6, step: 0.1, unit: "times", onChange: (value) => put(() => ({ scale: value })) });
   const reset = button({ id: "object-reset", label: "Back to the file's position", title: "Reset position, rotation and scale", onClick: () => put(() => ({ position: [0, 0, 0], turn: [0, 0, 0], scale: 1 })) });
   const inputs = [...position.inputs, ...turn.inputs, scale.input, reset];
   const show = ({ place, locked }) => {
-    position.show(place.position);
-    turn.show(place.turn);
+    position.set(place.position);
+    turn.set(place.turn);
     scale.set(place.scale);
     for (const input of inputs) input.disabled = locked;
   };
-  const heading = (words) => el("span", { class: "note" }, words);
+  const heading = (text) => el("span", { class: "note" }, text);
   return { nodes: [heading("Position"), position.root, heading("Rotation, degrees"), turn.root, scale.root, reset], show };
 }
 
-/** The group of the objects: {root, start()}. */
 export function objectsGroup() {
   const list = listBox({
     id: "object-list",
@@ -165,12 +135,11 @@ export function objectsGroup() {
   const upload = uploadField("object-upload-file", "Scene or mesh file", FIELDS, (file) => addFile(file));
   const tools = el(
     "div",
-    { class: "row tight" },
+    { class: "grid" },
     button({ id: "object-add", label: "Add object…", icon: "plus", keep: true, title: "Add a scene file or mesh from the session's folder", onClick: add }),
     button({ id: "object-upload", label: "Upload…", title: "Upload a scene file or mesh from this computer, and add it", onClick: () => upload.click() }),
-    el("span", { class: "spring" }),
-    button({ id: "object-copy", label: "Duplicate", icon: "copy", title: "Duplicate the active object with its cages and keys", onClick: withObject(copy) }),
-    button({ id: "object-remove", label: "Remove", icon: "delete", title: "Remove the active object from the scene (Delete in the list)", onClick: withObject(remove) }),
+    button({ id: "object-copy", label: "Duplicate", icon: "copy", keep: true, title: "Duplicate the active object with its cages and keys", onClick: withObject(copy) }),
+    button({ id: "object-remove", label: "Remove", icon: "delete", keep: true, title: "Remove the active object from the scene (Delete in the list)", onClick: withObject(remove) }),
   );
   const name = text({ id: "object-name", label: "Name", title: "Name of the active object (Enter keeps it)", maxlength: 100, onChange: withObject((object, to) => object.name !== to && change(object.id, { name: to })) });
   const place = placeFields();
@@ -188,10 +157,5 @@ export function objectsGroup() {
     name.set(object.name);
     place.show(object);
   });
-  const start = () => {
-    store.on("objects", show);
-    store.on("selection", show);
-    show();
-  };
-  return { root: made.root, start };
+  return { root: made.root, start: () => store.follow(["objects", "selection"], show) };
 }

@@ -13,7 +13,16 @@ const VIEWS = [
   ["view.all", "All"],
 ];
 
+const DENSITIES = [
+  ["opacity", "Keep opacity"],
+  ["paper", "More opaque as they grow"],
+];
+
 const change = (changes) => request({ do: "settings", ...changes });
+
+/** A choice of a setting, by its name in the settings; `read`: what is sent for a chosen value. */
+const settingChoice = (name, label, title, options, read = String) =>
+  choice({ id: name, label, title, options, onChange: (value) => change({ [name]: read(value) }) });
 
 /** A background as "#rrggbb", for the colour field; null where it is the field's own. */
 function hexOf(background) {
@@ -78,37 +87,17 @@ function legend() {
 
 /** How the scene follows its cages, for all edits alike: {roots, start()}. */
 export function deformationFields() {
-  const coordinates = choice({
-    id: "coordinates",
-    label: "Deformation",
-    title: "How the inside follows the cage. Harmonic: follows limbs. Mean value: smooth and fast. Green: keeps shapes, may bulge out of the cage",
-    options: [
-      ["harmonic", "Harmonic"],
-      ["mean_value", "Mean value"],
-      ["green", "Green"],
-    ],
-    onChange: (value) => change({ coordinates: value }),
-  });
-  const resolution = choice({
-    id: "resolution",
-    label: "Resolution",
-    title: "Grid cells along the cage's longest side: more follow sharp poses better, fewer are faster",
-    options: RESOLUTIONS.map((cells) => [String(cells), `${cells} cells`]),
-    onChange: (value) => change({ resolution: Number(value) }),
-  });
-  const density = choice({
-    id: "density",
-    label: "Density",
-    title: "What happens to the opacity of parts that grow or shrink",
-    options: [
-      ["opacity", "Keep opacity"],
-      ["paper", "More opaque as they grow"],
-    ],
-    onChange: (value) => change({ density: value }),
-  });
+  const coordinates = settingChoice("coordinates", "Deformation", "", []); // the server's, once it is there
+  const resolution = settingChoice("resolution", "Resolution", "Grid cells along the cage's longest side: more follow sharp poses better, fewer are faster", RESOLUTIONS.map((cells) => [String(cells), `${cells} cells`]), Number);
+  const density = settingChoice("density", "Density", "What happens to the opacity of parts that grow or shrink", DENSITIES);
   const show = () => {
-    const { settings } = store.sections;
+    const { session, settings } = store.sections;
     if (!settings) return;
+    if (!coordinates.input.options.length) {
+      coordinates.fill(session.coordinates);
+      const title = ["How the inside follows the cage", ...session.coordinates.map(([, label, help]) => `${label}: ${help}`)].join(". ");
+      coordinates.input.title = coordinates.root.title = title;
+    }
     const cells = String(settings.resolution);
     if (!RESOLUTIONS.includes(settings.resolution) && ![...resolution.input.options].some(({ value }) => value === cells)) {
       resolution.input.append(el("option", { value: cells }, `${cells} cells`));
@@ -117,18 +106,12 @@ export function deformationFields() {
     resolution.set(settings.resolution);
     density.set(settings.density);
   };
-  return { roots: [coordinates.root, resolution.root, density.root], start: () => (store.on("settings", show), show()) };
+  return { roots: [coordinates.root, resolution.root, density.root], start: () => store.follow(["settings"], show) };
 }
 
-/** The group of the picture: {root, start()}. */
 export function viewGroup() {
-  const supersampling = choice({
-    id: "supersampling",
-    label: "Samples",
-    title: "Samples per pixel: more are smoother and slower. For films, and here once nothing moves",
-    options: [1, 2, 3, 4].map((side) => [String(side), side === 1 ? "1 per pixel" : `${side * side} per pixel`]),
-    onChange: (value) => change({ supersampling: Number(value) }),
-  });
+  const samples = [1, 2, 3, 4].map((side) => [String(side), `${side * side} per pixel`]);
+  const supersampling = settingChoice("supersampling", "Samples", "Samples per pixel: more are smoother and slower. For films, and here once nothing moves", samples, Number);
   const shown = segments({
     id: "show",
     label: "What is shown",
@@ -143,26 +126,10 @@ export function viewGroup() {
   });
   const background = backgroundField();
   const masks = legend();
-  const overlay = check({
-    id: "overlay",
-    label: "Draw the cage",
-    title: titleOf("Draw the cage over the picture", "cage"),
-    value: store.tools.cage,
-    onChange: (on) => store.setTool("cage", on),
-  });
-  const grid = check({
-    id: "grid",
-    label: "Draw the ground as a grid",
-    title: titleOf("A floor grid under the scene, with its axes and lengths in scene units", "grid"),
-    value: store.tools.grid,
-    onChange: (on) => store.setTool("grid", on),
-  });
-  const fill = check({
-    id: "fill",
-    label: "Fill uncovered background",
-    title: "Continues the background where an edit uncovers what no photo showed, once nothing moves",
-    onChange: (on) => change({ fill: on }),
-  });
+  const toolCheck = (id, tool, label, title) => check({ id, label, title: titleOf(title, tool), value: store.tools[tool], onChange: (on) => store.setTool(tool, on) });
+  const overlay = toolCheck("overlay", "cage", "Draw the cage", "Draw the cage over the picture");
+  const grid = toolCheck("grid", "grid", "Draw the ground as a grid", "A floor grid under the scene, with its axes and lengths in scene units");
+  const fill = check({ id: "fill", label: "Fill uncovered background", title: "Continues the background where an edit uncovers what no photo showed, once nothing moves", onChange: (on) => change({ fill: on }) });
   const viewButton = ([name, label]) =>
     button({ id: name.replace(".", "-"), label, title: titleOf(actions.get(name).label, name), onClick: () => run(name) });
   const views = el("div", { class: "grid quarters", role: "group", "aria-label": "Look from" }, ...VIEWS.map(viewButton));
@@ -178,15 +145,12 @@ export function viewGroup() {
     masks.show();
   };
   const start = () => {
-    store.on("settings", show);
-    store.on("objects", show);
-    store.on("session", show); // of its field: whether there is something to fill
     store.on("status", masks.show);
     store.on("tools", (tools) => {
       overlay.set(tools.cage);
       grid.set(tools.grid);
     });
-    show();
+    store.follow(["settings", "objects", "session"], show); // session: of its field, whether there is something to fill
   };
   return { root: made.root, start };
 }

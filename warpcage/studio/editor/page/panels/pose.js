@@ -5,13 +5,13 @@
 import { activeEdit, run, selectedVertices, store } from "../core/store.js";
 import { ask, request, sendVertices } from "../core/connection.js";
 import { toast } from "../core/dialogs.js";
-import { button, choice, el, group, number, perPicture, row, setText, short, titleOf } from "../core/controls.js";
+import { button, choice, el, group, number, perPicture, row, setText, short, titleOf, triple } from "../core/controls.js";
 import { AXIS_NAMES, dot, mean, point } from "../geometry/vectors.js";
 import { activeCage, places, placesName, whenChanged } from "../view/cages.js";
 import { loadFrom } from "./cage.js";
 
-const degrees = { neutral: 0, read: (place) => Math.round(place), place: (amount) => amount, tell: (amount) => `${short(amount, 1)}°` };
-const factor = { neutral: 1, read: (place) => 4 ** place, place: (amount) => Math.log(amount) / Math.log(4), tell: (amount) => `× ${short(amount, 2)}` };
+const degrees = { neutral: 0, read: (place) => Math.round(place), place: (amount) => amount, format: (amount) => `${short(amount, 1)}°` };
+const factor = { neutral: 1, read: (place) => 4 ** place, place: (amount) => Math.log(amount) / Math.log(4), format: (amount) => `× ${short(amount, 2)}` };
 const PRESETS = [
   { name: "bend", label: "Bend", ...degrees, min: -180, max: 180, step: 1, unit: "°", limit: [-720, 720] },
   { name: "twist", label: "Twist", ...degrees, min: -360, max: 360, step: 1, unit: "°", limit: [-1440, 1440] },
@@ -50,7 +50,7 @@ function amountOf({ name, neutral }) {
   return (isSame && amounts[name]) || neutral;
 }
 
-/** Whether the vertices that sliders act on lie in one plane across the axis: no slider can tell them apart. */
+/** Whether the vertices that sliders act on lie in one plane across the axis: sliders act alike on all of them. */
 function isFlat() {
   const cage = activeCage();
   const chosen = chosenVertices() ?? [...Array(places(cage).length / 3).keys()];
@@ -58,7 +58,7 @@ function isFlat() {
   return Math.max(...along) - Math.min(...along) <= 1e-9 * cage.size;
 }
 
-/** Begins a preset; false, and a word about it, where it has nothing to act on. */
+/** Begins a preset; false, with a message, where it has nothing to act on. */
 function begin(preset) {
   const edit = activeEdit();
   if (!edit) toast("There is no cage to pose: generate one first.", "warning");
@@ -72,7 +72,7 @@ function begin(preset) {
   return false;
 }
 
-/** Poses live; what the server refuses is told once, and the step is taken back. */
+/** Poses live; a refusal of the server is shown once, and the step is taken back. */
 const sendAmount = perPicture(async (preset, amount) => {
   if (opened !== preset) return;
   try {
@@ -109,13 +109,13 @@ function presetRow(preset) {
   const slider = el("input", { id, type: "range", min, max, step, "aria-label": label, title: `${label}: drag; with the arrow keys, Enter keeps it; Escape takes it back` });
   let isDragged = false;
   const amountNow = () => preset.read(slider.valueAsNumber);
-  const tell = (amount) => {
-    slider.setAttribute("aria-valuetext", preset.tell(amount));
+  const showAmount = (amount) => {
+    slider.setAttribute("aria-valuetext", preset.format(amount));
     typed.set(amount);
   };
   const show = () => {
     slider.value = preset.place(amountOf(preset));
-    tell(amountOf(preset));
+    showAmount(amountOf(preset));
   };
   const finish = (cancel) => {
     isDragged = refused = false;
@@ -128,7 +128,7 @@ function presetRow(preset) {
       return show();
     }
     const amount = amountNow();
-    tell(amount);
+    showAmount(amount);
     sendAmount(preset, amount);
   });
   // keys change step by step: what they reach is kept by Enter, or when the focus goes on
@@ -164,42 +164,30 @@ function presetRow(preset) {
 
 /** Where the middle of the selection is: three numbers that can be typed. */
 function placeFields() {
-  const fields = AXIS_NAMES.map((axis, i) =>
-    number({
-      id: `place-${axis}`,
-      label: `Middle of the selection, ${axis}`,
-      title: `Middle of the selection, ${axis}: type a number and press Enter`,
-      bare: true,
-      onChange: (value) => {
-        const edit = activeEdit();
-        const vertices = selectedVertices();
-        if (!edit || !vertices.length) return;
-        const name = placesName();
-        const moved = Float64Array.from(places(activeCage()));
-        const by = value - mean(moved, vertices)[i];
-        for (const vertex of vertices) moved[3 * vertex + i] += by;
-        request({ do: "drag.begin", edit: edit.id, label: `move to ${axis} ${short(value)}`, rest: name === "rest" });
-        sendVertices(name, edit.id, moved);
-        request({ do: "drag.end", edit: edit.id, cancel: false });
-      },
-    }),
-  );
+  const move = (value, k) => {
+    const edit = activeEdit();
+    const vertices = selectedVertices();
+    if (!edit || !vertices.length) return;
+    const name = placesName();
+    const moved = Float64Array.from(places(activeCage()));
+    const by = value - mean(moved, vertices)[k];
+    for (const vertex of vertices) moved[3 * vertex + k] += by;
+    request({ do: "drag.begin", edit: edit.id, label: `move to ${AXIS_NAMES[k]} ${short(value)}`, rest: name === "rest" });
+    sendVertices(name, edit.id, moved);
+    request({ do: "drag.end", edit: edit.id, cancel: false });
+  };
+  const { root, set } = triple({ id: "place", label: "Middle of the selection", onChange: move });
   const count = el("span", { id: "selection-count", class: "note" });
-  const root = el("div", { class: "place", role: "group", "aria-label": "Middle of the selection" });
-  AXIS_NAMES.forEach((axis, i) => root.append(el("label", { for: `place-${axis}` }, axis), fields[i].input));
   const show = perPicture(() => {
     const edit = activeEdit();
     const vertices = selectedVertices();
     setText(count, vertices.length ? `${vertices.length} of ${edit?.rest.length ?? 0} selected; their middle:` : "Nothing is selected.");
     root.hidden = !edit || !vertices.length;
-    if (root.hidden) return;
-    const middle = mean(places(activeCage()), vertices);
-    fields.forEach((field, i) => field.set(Number(short(middle[i], 4))));
+    if (!root.hidden) set(mean(places(activeCage()), vertices));
   });
   return { nodes: [count, root], show };
 }
 
-/** The group of the pose: {root, start()}. */
 export function poseGroup() {
   const on = el("p", { id: "preset-on", class: "note", title: "Select vertices to pose these alone; nothing (Alt+A) or all (A) for the whole cage" });
   const others = () => AXIS_NAMES.filter((axis) => axis !== nearestAxis()).flatMap((axis) => [[axis, axis], [`-${axis}`, `−${axis}`]]);

@@ -5,7 +5,7 @@ import { request } from "../core/connection.js";
 import { button, choice, el, followKey, number, rows, setIcon, setText, short, titleOf } from "../core/controls.js";
 import { exportFilm } from "./exports.js";
 import { graphs } from "./graph.js";
-import { EASINGS, LOOPS, add, change, choose, chosenKey, ease, easingWord, film, goTo, holds, jump, keyAt, now, onChosen, onFrame, remove, room, seconds, step } from "./keys.js";
+import { EASINGS, LOOPS, add, change, choose, chosenKey, ease, easingName, film, goTo, holds, jump, keyAt, now, onChosen, onFrame, remove, room, seconds, step } from "./keys.js";
 
 const NEAR = 4; // pixels that a press may slip before it is a drag
 const STEPS = [0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600];
@@ -133,6 +133,7 @@ function bar() {
   const easing = choice({ id: "time-easing", label: "Easing of the selected key", title: "How the movement from the selected key to the next goes", options: EASINGS, bare: true, onChange: ease });
   const gone = button({ id: "time-delete", label: "Delete key", icon: "delete", title: "Delete the selected key (Delete on the timeline)", onClick: remove });
   const name = el("span", { id: "time-key", class: "note" });
+  const unkeyed = el("span", { id: "time-unkeyed", title: "This pose is in no key: add one (K) to keep it when the time changes" }, "Pose not kept");
   const root = el(
     "div",
     { class: "time-bar" },
@@ -142,7 +143,7 @@ function bar() {
     button({ id: "time-after", label: "Next key", icon: "after", title: "To the next key (Down on the timeline)", onClick: () => jump(1) }),
     el("span", { class: "time-now" }, time.input, length),
     loop.input,
-    el("span", { class: "spring" }),
+    el("span", { class: "spring" }, unkeyed),
     name,
     easing.input,
     button({ id: "time-add", label: "Key", icon: "plus", keep: true, title: titleOf("Add a key of pose and camera at the current time", "key.insert"), onClick: () => add(true, true) }),
@@ -151,7 +152,7 @@ function bar() {
   );
   const show = () => {
     const { length: long, fps, loop: way } = film();
-    const { playing = false } = store.sections.playback ?? {};
+    const { playing = false, unkeyed: isUnkeyed = false } = store.sections.playback ?? {};
     const key = chosenKey();
     setIcon(play, playing ? "pause" : "play");
     play.title = titleOf(playing ? "Pause" : "Play", "play");
@@ -160,24 +161,23 @@ function bar() {
     setText(length, `/ ${seconds(long)}, frame ${Math.round(now() * fps)}`);
     loop.set(way);
     easing.input.disabled = gone.disabled = !key;
-    if (key) easing.set(easingWord(key.easing));
+    if (key) easing.set(easingName(key.easing));
     setText(name, key ? key.name : "");
+    unkeyed.hidden = !isUnkeyed;
   };
   return { root, show };
 }
 
-/** Builds the timeline. Call it once. */
 export function start() {
   const { root: top, show: showBar } = bar();
   const ruler = el("div", { class: "ruler" });
   const marks = el("div");
   const poses = el("div", { class: "lane tall" });
   const ways = graphs(poses);
-  const left = el("span", { class: "mark left", title: "The pose that was left here is held by no key: press to go back to it (undo)" });
+  const left = el("span", { class: "mark left", title: "A pose was left here without a key: press to go back to it (undo)" });
   poses.append(...ways.roots, marks, left, ...ways.handles);
   const cameras = el("div", { class: "lane" });
-  const unkeyed = el("span", { id: "time-unkeyed", class: "head-note", title: "No key holds what is posed here: add one (K), or it stays behind when the time changes" }, "pose not kept");
-  const head = el("div", { class: "head" }, unkeyed);
+  const head = el("div", { class: "head" });
   const beyond = el("div", { class: "beyond", title: "After the end of the film; the next key may go here" });
   area = el("div", { class: "track-area" }, beyond, ruler, poses, cameras, head);
   const track = el(
@@ -214,9 +214,7 @@ export function start() {
   const showTime = () => {
     const time = now();
     head.style.left = shareOf(Math.min(time, room()));
-    const { left: leftAt = null, unkeyed: astray = false } = store.sections.playback ?? {};
-    unkeyed.hidden = !astray;
-    unkeyed.classList.toggle("before", time > 0.6 * room());
+    const { left: leftAt = null } = store.sections.playback ?? {};
     left.hidden = leftAt === null;
     left.style.left = shareOf(Math.min(leftAt ?? 0, room()));
     track.setAttribute("aria-valuenow", short(time));
@@ -227,8 +225,7 @@ export function start() {
   const show = () => (showKeys(), showTime());
   listen(track, show);
   new ResizeObserver(showKeys).observe(area);
-  store.on("timeline", show);
   store.on("playback", showTime);
   onChosen(show);
-  show();
+  store.follow(["timeline"], show);
 }

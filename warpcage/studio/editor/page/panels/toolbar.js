@@ -3,7 +3,7 @@
 import { actions, choices, keep, kept, register, run, STARTED_ANEW, store } from "../core/store.js";
 import { request } from "../core/connection.js";
 import { waitingFor } from "../view/objects.js";
-import { tellSize } from "../view/viewport.js";
+import { sendSize } from "../view/viewport.js";
 import { choice, el, icon, number, perPicture, segments, setText, titleOf } from "../core/controls.js";
 
 const THEME = "warpcage.theme";
@@ -28,7 +28,7 @@ function nextTheme() {
   theme = THEMES[(THEMES.indexOf(theme) + 1) % THEMES.length];
   keep(THEME, theme);
   showTheme();
-  tellSize();
+  sendSize();
 }
 
 function showPanel(isOpen) {
@@ -68,51 +68,14 @@ function onClick(event) {
 }
 
 function buildOptions() {
-  const axes = choice({
-    id: "axes",
-    label: "Axes",
-    title: titleOf("Axes for Move, Rotate and Scale", "axes"),
-    options: choices.axes,
-    bare: true,
-    onChange: (value) => store.setTool("axes", value),
-  });
-  const symmetry = choice({
-    id: "symmetry",
-    label: "Symmetry",
-    title: titleOf("Mirror what you do across the middle of the cage", "symmetry"),
-    options: choices.symmetry,
-    bare: true,
-    onChange: (value) => store.setTool("symmetry", value),
-  });
+  const choose = (name, label, title, bare) => choice({ id: name, label, title: titleOf(title, name), options: choices[name], bare, onChange: (value) => store.setTool(name, value) });
+  const percent = (id, name, label, title, range) => number({ id, label, title, ...range, unit: "%", onChange: (value) => store.setTool(name, value / 100) });
+  const axes = choose("axes", "Axes", "Axes for Move, Rotate and Scale", true);
+  const symmetry = choose("symmetry", "Symmetry", "Mirror what you do across the middle of the cage", true);
   document.getElementById("options-place").append(axes.root, symmetry.root);
-
-  const radius = number({
-    id: "radius",
-    label: "Radius",
-    title: "Radius of proportional editing in percent of the cage's size; the wheel changes it while you drag",
-    min: 1,
-    max: 200,
-    step: 5,
-    unit: "%",
-    onChange: (value) => store.setTool("radius", value / 100),
-  });
-  const falloff = choice({
-    id: "falloff",
-    label: "Falloff",
-    title: titleOf("How the effect falls off with distance", "falloff"),
-    options: choices.falloff,
-    onChange: (value) => store.setTool("falloff", value),
-  });
-  const step = number({
-    id: "snap-step",
-    label: "Step",
-    title: "Snap step in percent of the cage's size; a rotation snaps to as many degrees",
-    min: 0.1,
-    max: 100,
-    step: 1,
-    unit: "%",
-    onChange: (value) => store.setTool("step", value / 100),
-  });
+  const radius = percent("radius", "radius", "Radius", "Radius of proportional editing in percent of the cage's size; the wheel changes it while you drag", { min: 1, max: 200, step: 5 });
+  const falloff = choose("falloff", "Falloff", "How the effect falls off with distance");
+  const step = percent("snap-step", "step", "Step", "Snap step in percent of the cage's size; a rotation snaps to as many degrees", { min: 0.1, max: 100, step: 1 });
   const near = el("div", { class: "chip", id: "proportional-options" }, radius.root, falloff.root);
   const steps = el("div", { class: "chip", id: "snap-options" }, step.root);
   document.getElementById("tool-options").append(near, steps);
@@ -205,7 +168,7 @@ const showStatus = perPicture(() => {
   if (frame) {
     const { width, height, ms } = frame;
     const made = ms ? `, made in ${Math.round(ms.all)} ms (pose ${Math.round(ms.pose)}, picture ${Math.round(ms.render)})` : "";
-    speed.title = `Frames per second, and delay from the hand to the picture. This frame: ${width} x ${height}${made}`;
+    speed.title = `Frames per second, and delay from the pointer to the picture. This frame: ${width} x ${height}${made}`;
   }
   document.body.classList.toggle("lost", !connected);
   const [state, text, title] = connectionText();
@@ -248,18 +211,9 @@ function keepKeys() {
 export function start() {
   register("panel", { label: "Side panel", keys: ["P"], group: "Page", run: togglePanel });
   register("theme", { label: "Next theme: system, light, dark", group: "Page", run: nextTheme });
-  register("mode", {
-    label: "Switch between Pose and Rest",
-    keys: ["Q"],
-    group: "Edit",
-    run: () => request({ do: "settings", mode: store.sections.settings?.mode === "rest" ? "pose" : "rest" }),
-  });
-  register("mode.place", {
-    label: "Switch between Place and Pose",
-    keys: ["T"],
-    group: "Edit",
-    run: () => request({ do: "settings", mode: store.sections.settings?.mode === "place" ? "pose" : "place" }),
-  });
+  const turnTo = (mode, other) => () => request({ do: "settings", mode: store.sections.settings?.mode === mode ? other : mode });
+  register("mode", { label: "Switch between Pose and Rest", keys: ["Q"], group: "Edit", run: turnTo("rest", "pose") });
+  register("mode.place", { label: "Switch between Place and Pose", keys: ["T"], group: "Edit", run: turnTo("place", "pose") });
   dress();
   showTheme();
   showPanel(kept(PANEL) ? kept(PANEL) === "open" : window.innerWidth > 900);
@@ -267,15 +221,10 @@ export function start() {
   const showMode = buildMode();
   document.addEventListener("click", onClick);
   keepKeys();
-  store.on("tools", () => (showTools(), showOptions()));
-  store.on("selection", showPicks);
   store.on("settings", ({ mode }) => showMode(mode));
-  store.on("history", showHistory);
-  store.on("session", () => (showSession(), showStatus()));
-  for (const name of ["status", "objects"]) store.on(name, showStatus);
-  showTools();
-  showOptions();
-  showPicks();
-  showHistory();
-  showStatus();
+  store.follow(["tools"], () => (showTools(), showOptions()));
+  store.follow(["selection"], showPicks);
+  store.follow(["history"], showHistory);
+  store.on("session", showSession);
+  store.follow(["session", "status", "objects"], showStatus);
 }

@@ -5,14 +5,15 @@ import { request } from "../core/connection.js";
 import { button, el } from "../core/controls.js";
 import { toast } from "../core/dialogs.js";
 import { pixelAt, project, rayThrough } from "../geometry/camera.js";
+import { BOX_EDGES } from "../geometry/place.js";
 import { offsetOf, snapped } from "../geometry/transform.js";
 import { add, cross, dot, mean, meetPlane, point, subtract, times, unit } from "../geometry/vectors.js";
 import * as C from "../view/cages.js";
 import * as drag from "../view/drag.js";
-import { drawRegion, stroke } from "../view/draw.js";
+import { drawDisc, drawRegion, linePath, stroke } from "../view/draw.js";
 import { COLORS } from "../view/gizmo.js";
 import { extentOf, groundPlane } from "../view/grid.js";
-import { hands } from "../view/pointer.js";
+import { pointerTools } from "../view/pointer.js";
 import { clicked, elementAt } from "../view/selecting.js";
 import { camera, drawings, requestDraw, surfaceAt } from "../view/viewport.js";
 
@@ -38,7 +39,7 @@ const ascending = (values) => values.sort((a, b) => a - b);
 /**
  * The box around places that are seen in a rectangle of so many pixels, in axes of its own: {axes, lower, upper}. Of
  * matter behind matter it takes the nearer, as deep as the rectangle is wide there. What is flat along the view has a
- * far side that nobody sees: there the box is as deep as it is wide, where the field has room (`bounds`).
+ * far side that is out of sight: there the box is as deep as it is wide, where the field has room (`bounds`).
  */
 export function boxAround(places, axes, { eye, forward, focal }, pixels, bounds) {
   const depthOf = (place) => dot(subtract(place, eye), forward);
@@ -147,7 +148,7 @@ async function keepBox({ axes, lower, upper }) {
   requestDraw();
 }
 
-hands.set("box", {
+pointerTools.set("box", {
   begin(at, reach) {
     const handle = handleAt(at, reach);
     pulled = null;
@@ -194,20 +195,15 @@ function drawHandles(context) {
   for (const { face, at, end, isFront } of handles()) {
     const isHovered = face.corners.join() === (pulled?.face.corners.join() ?? hovered);
     const k = face.normal.map(Math.abs).indexOf(Math.max(...face.normal.map(Math.abs)));
+    const color = isHovered ? "#ffd84d" : COLORS[k];
     const path = new Path2D();
     path.moveTo(...at);
     path.lineTo(...end);
     context.save();
     context.globalAlpha = isFront ? 1 : 0.45;
     stroke(context, path, "rgba(0, 0, 0, 0.5)", 4);
-    stroke(context, path, isHovered ? "#ffd84d" : COLORS[k], 2);
-    for (const [[x, y], radius] of [[at, 6], [end, 4]]) {
-      const dot = new Path2D();
-      dot.arc(x, y, radius, 0, 2 * Math.PI);
-      context.fillStyle = isHovered ? "#ffd84d" : COLORS[k];
-      context.fill(dot);
-      stroke(context, dot, "rgba(0, 0, 0, 0.6)", 1.2);
-    }
+    stroke(context, path, color, 2);
+    for (const [place, radius] of [[at, 6], [end, 4]]) drawDisc(context, ...place, radius, color, "rgba(0, 0, 0, 0.6)", 1.2);
     context.restore();
   }
 }
@@ -217,15 +213,7 @@ drawings.push((context, view) => {
   if (!drawn || drawn.to === drawn.from) return;
   drawRegion(context, "rectangle", [...drawn.from, ...drawn.to]);
   if (!drawn.box) return;
-  const corners = cornersOf(drawn.box).map((corner) => project(view, corner));
-  const path = new Path2D();
-  for (const i of CORNERS) {
-    for (const j of [1, 2, 4].filter((bit) => !(i & bit)).map((bit) => i | bit)) {
-      if (corners[i][2] <= 0 || corners[j][2] <= 0) continue;
-      path.moveTo(corners[i][0], corners[i][1]);
-      path.lineTo(corners[j][0], corners[j][1]);
-    }
-  }
+  const path = linePath(cornersOf(drawn.box).flatMap((corner) => project(view, corner)), BOX_EDGES);
   stroke(context, path, "rgba(0, 0, 0, 0.5)", 3);
   stroke(context, path, "#ff9a1f", 1.6);
 });
@@ -243,7 +231,7 @@ register("tool.leave", {
   label: "Leave the box or the ruler",
   keys: ["Escape"],
   group: "Tools",
-  enabled: () => hands.has(store.tools.tool),
+  enabled: () => pointerTools.has(store.tools.tool),
   run: () => store.setTool("tool", "select"),
 });
 
@@ -270,6 +258,5 @@ export function start() {
     text.textContent = isBox && isRest() ? "Drag a dot to move that side. Drag elsewhere to draw another box." : "Drag across a part to draw a box around it.";
   };
   C.whenChanged(show);
-  store.on("tools", () => (show(), requestDraw()));
-  show();
+  store.follow(["tools"], () => (show(), requestDraw()));
 }

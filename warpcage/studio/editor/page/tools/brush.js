@@ -7,10 +7,8 @@ import { drawings, overlay } from "../view/viewport.js";
 
 const [LEAST, LARGEST] = [4, 200]; // radius, pixels
 
-/** Whether drags paint. */
 export const isBrush = () => store.tools.pick === "brush";
 
-/** Makes the brush larger or smaller by a factor, by a pixel at least. */
 export function resizeBrush(factor) {
   const { brush } = store.tools;
   const step = Math.max(1, Math.abs(brush * (factor - 1)));
@@ -23,7 +21,6 @@ drawings.push((context) => {
   if (overlay.brush && isBrush()) drawCircle(context, ...overlay.brush, store.tools.brush);
 });
 
-/** Adds the brush's options to those of the tools that are on. */
 export function start() {
   const size = number({
     id: "brush-size",
@@ -41,6 +38,5 @@ export function start() {
     chip.hidden = !isBrush() || ["box", "ruler"].includes(store.tools.tool);
     size.set(store.tools.brush);
   };
-  store.on("tools", show);
-  show();
+  store.follow(["tools"], show);
 }

@@ -5,11 +5,11 @@ import { el, setText } from "../core/controls.js";
 import { toast } from "../core/dialogs.js";
 import { project, rayThrough } from "../geometry/camera.js";
 import { AXIS_NAMES, distance, meetPlane, subtract, times } from "../geometry/vectors.js";
-import { stroke } from "../view/draw.js";
+import { drawDisc, linePath, stroke } from "../view/draw.js";
 import { COLORS } from "../view/gizmo.js";
 import { groundPlane } from "../view/grid.js";
 import { shown } from "../view/operation.js";
-import { hands } from "../view/pointer.js";
+import { pointerTools } from "../view/pointer.js";
 import { camera, drawings, getSize, requestDraw, surfaceAt } from "../view/viewport.js";
 
 let ends = []; // the places that were clicked, world units; two at most
@@ -27,7 +27,7 @@ function placeAt(at) {
   return meetPlane(view.eye, rayThrough(view, ...at), times(axes[2], level), axes[2]);
 }
 
-/** The way from one place to another in words: [its length, its parts along x, y and z]. */
+/** The way from one place to another as text: [its length, its parts along x, y and z]. */
 export function measured(from, to) {
   const parts = subtract(to, from).map((value, k) => `${AXIS_NAMES[k]} ${shown(value)}`);
   return [`${shown(distance(from, to))} units`, parts];
@@ -44,9 +44,9 @@ function describe() {
   return `${long}: ${parts.join(", ")}`;
 }
 
-let show = () => undefined; // the words beside the tools
+let show = () => undefined; // the text beside the tools
 
-hands.set("ruler", {
+pointerTools.set("ruler", {
   click(at) {
     const place = placeAt(at);
     if (!place) {
@@ -69,10 +69,7 @@ hands.set("ruler", {
 
 function line(context, view, from, to, color, width, dash) {
   const [a, b] = [project(view, from), project(view, to)];
-  if (a[2] <= 0 || b[2] <= 0) return;
-  const path = new Path2D();
-  path.moveTo(a[0], a[1]);
-  path.lineTo(b[0], b[1]);
+  const path = linePath([...a, ...b], [0, 1]);
   stroke(context, path, "rgba(0, 0, 0, 0.55)", width + 2.4, dash);
   stroke(context, path, color, width, dash);
 }
@@ -110,11 +107,7 @@ drawings.push((context, view) => {
   const span = isOn() ? spanNow() : null;
   for (const end of isOn() ? (span ?? ends) : []) {
     const [x, y, z] = project(view, end);
-    const dot = new Path2D();
-    dot.arc(x, y, 4.5, 0, 2 * Math.PI);
-    context.fillStyle = "#ffd84d";
-    if (z > 0) context.fill(dot);
-    if (z > 0) stroke(context, dot, "rgba(0, 0, 0, 0.7)", 1.4);
+    if (z > 0) drawDisc(context, x, y, 4.5, "#ffd84d", "rgba(0, 0, 0, 0.7)", 1.4);
   }
   if (!span) return;
   const [from, to] = span;
@@ -124,14 +117,8 @@ drawings.push((context, view) => {
   if (project(view, from)[2] > 0 && project(view, to)[2] > 0) drawPlate(context, view, from, to);
 });
 
-register("tool.ruler", {
-  label: "Tool: measure a distance",
-  keys: ["U"],
-  group: "Tools",
-  run: () => store.setTool("tool", "ruler"),
-});
+register("tool.ruler", { label: "Tool: measure a distance", keys: ["U"], group: "Tools", run: () => store.setTool("tool", "ruler") });
 
-/** Adds the measure to the options of the tools that are on. */
 export function start() {
   const text = el("output", { id: "ruler-value", class: "note", "aria-live": "polite" });
   const chip = el("div", { class: "chip", id: "ruler-options" }, text);
@@ -143,6 +130,5 @@ export function start() {
     show();
     requestDraw();
   };
-  store.on("tools", change);
-  change();
+  store.follow(["tools"], change);
 }

@@ -1,4 +1,4 @@
-// The cages and the selection as the page has them now, which may be ahead of the server while the hand moves them.
+// The cages and the selection as the page has them now, which is ahead of the server during a drag.
 
 import { store } from "../core/store.js";
 import { ask, guard, when } from "../core/connection.js";
@@ -9,11 +9,11 @@ import { bounds, distance } from "../geometry/vectors.js";
 /** id -> {id, name, kind, visible, faces, topology, rest, posed, size, sense}; faces and points are flat. */
 export const cages = new Map();
 const listeners = [];
-let held = null; // {id, places}: the hand moves this edit's places (name), the server's are kept for later
+let held = null; // {id, places}: this edit's places (name) are dragged, the server's are kept for later
 let chosen = { of: null, vertices: new Set() };
 let unanswered = 0; // selections that the server has not answered
 let unsaid = null; // a selection made without a connection
-let theirs = null; // the last selection that the server told of
+let theirs = null; // the last selection of the server
 let active = { edit: null, vertex: -1 }; // the vertex that was picked last
 
 /** Calls listener() whenever cages or selection change. */
@@ -43,7 +43,7 @@ export const pickMode = () => store.sections.selection?.mode ?? "vertex";
 /** The active vertex of the active edit; -1 where there is none. */
 export const activeVertex = () => (active.edit === activeCage()?.id && selected().has(active.vertex) ? active.vertex : -1);
 
-/** Selects vertices of an edit at once, and tells the server. */
+/** Selects vertices of an edit at once, and on the server. */
 export function select(edit, vertices, { mode = pickMode(), active: vertex = active.vertex } = {}) {
   const numbers = [...vertices].sort((a, b) => a - b);
   active = { edit, vertex };
@@ -71,13 +71,13 @@ when("hello", () => {
   if (cage && vertices.every((i) => i < cage.topology.count)) select(edit, vertices, { mode });
 });
 
-// What the server says of a selection before it has heard of the last one is old
+// A selection that the server sends before it has answered the last one is old
 guard("selection", (content) => {
   theirs = content;
   return unanswered > 0;
 });
 
-/** A cage whose places the hand has changed. */
+/** Gives a cage other places, as a drag does. */
 export function setPlaces(cage, name, points) {
   cage[name] = points;
   changed();
@@ -85,27 +85,27 @@ export function setPlaces(cage, name, points) {
 
 /** Keeps the server from changing these places of an edit until `release`. */
 export function hold(id, name) {
-  held = { id, name, heard: null };
+  held = { id, name, received: null };
 }
 
 /** Lets the server change them again; takes what it sent since `expectAnswer`, if anything. */
 export function release() {
-  const { id, name, heard } = held ?? {};
+  const { id, name, received } = held ?? {};
   held = null;
   const cage = cages.get(id);
-  if (cage && heard?.length === cage[name].length) setPlaces(cage, name, heard);
+  if (cage && received?.length === cage[name].length) setPlaces(cage, name, received);
 }
 
-/** Lets the server change them again, and takes back what the hand did. */
+/** Lets the server change them again, and takes back the drag. */
 export function giveUp() {
   held = null;
   take(store.sections.edits ?? []);
   changed();
 }
 
-/** Forgets what the server sent while the hand moved: what comes from now on answers the hand. */
+/** Forgets what the server sent during the drag: what comes from now on answers it. */
 export function expectAnswer() {
-  if (held) held.heard = null;
+  if (held) held.received = null;
 }
 
 function sameFaces(cage, faces) {
@@ -126,7 +126,7 @@ function take(edits) {
     for (const name of ["rest", "posed"]) {
       const points = Float64Array.from(edit[name].flat());
       const isKept = held?.id === edit.id && held.name === name && cage[name]?.length === points.length;
-      if (isKept) held.heard = points;
+      if (isKept) held.received = points;
       else cage[name] = points;
     }
     cage.size = distance(...bounds(cage.rest)) || 1;
@@ -141,16 +141,14 @@ store.on("edits", (edits) => {
   take(edits);
   changed();
 });
-store.on("selection", changed);
-store.on("settings", changed);
-store.on("check", changed);
+for (const name of ["selection", "settings", "check"]) store.on(name, changed);
 
 const coming = new Map(); // edit -> posed vertices of the film's next picture
 
 function takePlaces(id, name, points) {
   const cage = cages.get(id);
   if (cage?.[name].length !== points.length) return;
-  if (held?.id === id && held.name === name) held.heard = points;
+  if (held?.id === id && held.name === name) held.received = points;
   else setPlaces(cage, name, points);
 }
 

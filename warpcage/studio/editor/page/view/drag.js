@@ -1,6 +1,6 @@
 // A drag of vertices: sent at display rate at most, one step of undo, kept while the connection is broken.
 
-import { ask, isCongested, send, sendVertices, when } from "../core/connection.js";
+import { ask, emit, isCongested, send, sendVertices, when } from "../core/connection.js";
 import { toast } from "../core/dialogs.js";
 import { cages, expectAnswer, giveUp, hold, places, placesName, release, setPlaces } from "./cages.js";
 
@@ -8,10 +8,6 @@ const REMEMBERED = 64; // sent poses that are kept, to know the server's state a
 
 let drag = null; // the drag under way: {cage, name, label, start, now, unsent, sent, broken}
 let orphan = null; // one that ended while there was no connection
-let latest = null; // for latencies: called with (seq, time of the pointer event)
-
-/** Calls latest(seq, time) with each pose that was sent and the time of the pointer event that made it. */
-export const whenSent = (listener) => (latest = listener);
 
 /** Whether vertices wait to be sent although there is a connection. */
 export const isWaiting = () => Boolean(drag?.unsent && !drag.broken);
@@ -27,7 +23,7 @@ export function begin(cage, label) {
   drag.broken = !send(beginning(drag));
 }
 
-/** Takes the vertices that the hand wants now; they go to the server with the next `flush`. */
+/** Takes the vertices as they are dragged now; they go to the server with the next `flush`. */
 export function update(points, time) {
   const cage = drag && cages.get(drag.cage);
   if (!cage || cage[drag.name].length !== points.length) return;
@@ -43,7 +39,7 @@ export function flush(force = false) {
   drag.unsent = false;
   drag.sent.push(drag.now);
   if (drag.sent.length > REMEMBERED) drag.sent.splice(1, 1);
-  latest?.(seq, drag.time);
+  emit("sent", seq, drag.time);
 }
 
 /** Ends the drag: one step of undo, or none where it is cancelled. */
@@ -61,7 +57,7 @@ export function end(cancel = false) {
   settle(ask({ do: "drag.end", edit: done.cage, cancel }), cancel ? null : done);
 }
 
-/** Waits for the server's answer to what the hand did: it stays, or goes back with the error shown. */
+/** Waits for the server's answer to a drag: it stays, or goes back with the error shown. */
 function settle(promise, done) {
   promise.then(release, (error) => {
     if (error.isLost) {
@@ -73,7 +69,7 @@ function settle(promise, done) {
   });
 }
 
-/** Whether the server has what the drag began with or a pose that it was sent: nobody else has changed it. */
+/** Whether the server has what the drag began with or a pose that it was sent: no other page has changed it. */
 function isOurs(old, points, scale) {
   const isNear = (value, i) => Math.abs(value - points[i]) <= 1e-9 * scale; // equal but for rounding
   return old.sent.some((sent) => sent.length === points.length && sent.every(isNear));
@@ -83,7 +79,7 @@ when("lost", () => {
   if (drag) drag.broken = true;
 });
 
-// While the connection was broken, `hold` kept the hand's places, and the server's have just arrived beneath them.
+// While the connection was broken, `hold` kept the places of the drag, and the server's have just arrived beneath them.
 when("hello", (message) => {
   const old = drag ?? orphan;
   if (!old) {

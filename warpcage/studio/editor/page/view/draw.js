@@ -8,8 +8,8 @@ import { add, bounds, point, times } from "../geometry/vectors.js";
 const PIECES = 12; // of an edge, each seen or hidden
 const MAX_PIECES = 40000;
 const TOLERANCE = 0.015; // share of the cage's size: the cage lies outside the object, hidden means behind matter
-const MAX_RICH = 4000; // edges: cages with more are drawn plain, so that they follow the hand
-const LEVELS = 5; // of weights of proportional editing that are told apart by colour
+const MAX_RICH = 4000; // edges: cages with more are drawn plain, so that they follow the pointer
+const LEVELS = 5; // of weights of proportional editing that colours show
 
 const INK = {
   rim: "rgba(0, 0, 0, 0.5)",
@@ -44,11 +44,7 @@ export function findHidden(cage, points, picture) {
   }
   const [map, camera] = [picture?.map, picture?.camera];
   const tolerance = TOLERANCE * cage.size;
-  return {
-    pieces,
-    edges: hiddenPoints(map, camera, middles, tolerance),
-    vertices: hiddenPoints(map, camera, points, tolerance),
-  };
+  return { pieces, edges: hiddenPoints(map, camera, middles, tolerance), vertices: hiddenPoints(map, camera, points, tolerance) };
 }
 
 /** Adds the runs of an edge's pieces that are hidden, or those that are seen, to a path. */
@@ -88,13 +84,32 @@ function edgePaths(camera, cage, points, screen, hidden, front, isSelected) {
   return paths;
 }
 
-/** A path as a line of this colour and width. */
+/** The path of lines between points of the screen in front of the eye; `pairs`: flat, the numbers of their ends. */
+export function linePath(screen, pairs) {
+  const path = new Path2D();
+  for (let e = 0; e < pairs.length; e += 2) {
+    const [a, b] = [3 * pairs[e], 3 * pairs[e + 1]];
+    if (screen[a + 2] <= 0 || screen[b + 2] <= 0) continue;
+    path.moveTo(screen[a], screen[a + 1]);
+    path.lineTo(screen[b], screen[b + 1]);
+  }
+  return path;
+}
+
 export function stroke(context, path, color, width, dash = []) {
   context.setLineDash(dash);
   context.strokeStyle = color;
   context.lineWidth = width;
   context.stroke(path);
   context.setLineDash([]);
+}
+
+export function drawDisc(context, x, y, radius, color, rim, width) {
+  const disc = new Path2D();
+  disc.arc(x, y, radius, 0, 2 * Math.PI);
+  context.fillStyle = color;
+  context.fill(disc);
+  stroke(context, disc, rim, width);
 }
 
 function fillFaces(context, cage, screen, numbers, color, rim = null) {
@@ -134,19 +149,7 @@ function dots(context, screen, numbers, radius, color, rim) {
   context.stroke();
 }
 
-/** A cage that is not worked on. */
-export function drawOther(context, camera, cage, points) {
-  const screen = projectAll(camera, points);
-  const path = new Path2D();
-  const { edges } = cage.topology;
-  for (let e = 0; e < edges.length; e += 2) {
-    const [a, b] = [3 * edges[e], 3 * edges[e + 1]];
-    if (screen[a + 2] <= 0 || screen[b + 2] <= 0) continue;
-    path.moveTo(screen[a], screen[a + 1]);
-    path.lineTo(screen[b], screen[b + 1]);
-  }
-  stroke(context, path, INK.other, 1);
-}
+export const drawOther = (context, camera, cage, points) => stroke(context, linePath(projectAll(camera, points), cage.topology.edges), INK.other, 1);
 
 function drawRich(context, paths) {
   stroke(context, paths.behind, INK.softRim, 2, [3, 4]);
@@ -181,13 +184,7 @@ export function drawCage(context, camera, cage, points, look) {
   if (cage.topology.edges.length / 2 > MAX_RICH) drawPlain(context, paths);
   else drawRich(context, paths);
   if (hover?.mode === "face") fillFaces(context, cage, screen, [hover.number], "rgba(255, 233, 168, 0.32)");
-  if (hover?.mode === "edge") {
-    const [a, b] = hover.vertices;
-    const path = new Path2D();
-    path.moveTo(screen[3 * a], screen[3 * a + 1]);
-    path.lineTo(screen[3 * b], screen[3 * b + 1]);
-    stroke(context, path, INK.hover, 3);
-  }
+  if (hover?.mode === "edge") stroke(context, linePath(screen, hover.vertices), INK.hover, 3);
   const groups = { seen: [], back: [], behind: [], chosen: [], chosenBehind: [] };
   for (let i = 0; i < hidden.vertices.length; i += 1) {
     const [near, far] = selected.has(i) ? ["chosen", "chosenBehind"] : [front.vertices[i] ? "seen" : "back", "behind"];

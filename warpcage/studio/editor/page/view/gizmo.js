@@ -140,7 +140,6 @@ function drawEnd(context, [[x0, y0], [x1, y1]], kind, color) {
   context.stroke();
 }
 
-/** Draws handles; the hovered one is brighter. */
 export function drawGizmo(context, handles, hovered) {
   context.save();
   context.lineCap = "round";
@@ -214,7 +213,6 @@ export function ballAt(compass, x, y) {
   return compass.balls.findLast((ball) => Math.hypot(x - ball.x, y - ball.y) <= 10) ?? null;
 }
 
-/** Draws the compass. */
 export function drawCompass(context, compass, hovered) {
   context.save();
   context.font = "bold 11px system-ui, sans-serif";

@@ -1,11 +1,12 @@
-// The objects of the scene as wholes: which one is active, its box that the hand moves, turns and scales, and clicks.
+// The objects of the scene as wholes: which one is active, its box, which drags move, rotate and scale, and clicks.
 
 import { store } from "../core/store.js";
-import { ask, guard, isCongested, nextSequence, request, send, when } from "../core/connection.js";
+import { ask, emit, guard, isCongested, nextSequence, request, send, when } from "../core/connection.js";
 import { toast } from "../core/dialogs.js";
 import { projectAll } from "../geometry/camera.js";
 import { BOX_EDGES, axesOf, cornersOf, followed, placedAll, viewWithin } from "../geometry/place.js";
 import { bounds, distance } from "../geometry/vectors.js";
+import { linePath, stroke } from "./draw.js";
 
 const INK = { active: "#ff9a1f", other: "rgba(190, 205, 225, 0.75)", rim: "rgba(0, 0, 0, 0.5)", label: "rgba(30, 38, 50, 0.75)" };
 const IDENTITY = [
@@ -15,23 +16,18 @@ const IDENTITY = [
   [0, 0, 0, 1],
 ];
 
-let hand = null; // the object that is being moved: {object, start, before, matrix, label, unsent, time, broken}
+let dragged = null; // the object that is being moved: {object, start, before, matrix, label, unsent, time, broken}
 let waiting = null; // what the server said of objects meanwhile
-let latest = null; // for latencies: called with (seq, time of the pointer event)
-
-/** Calls latest(seq, time) with each place that was sent and the time of the pointer event that made it. */
-export const whenSent = (listener) => (latest = listener);
 
 export const objects = () => store.sections.objects ?? [];
 
-/** The object that edits, cages and the hand act on, or null before there is one. */
 export const activeObject = () => objects().find(({ id }) => id === store.sections.selection?.object) ?? null;
 
-/** Whether the hand moves objects as wholes. */
+/** Whether drags move objects as wholes. */
 export const isPlacing = () => store.sections.settings?.mode === "place";
 
-/** Where an object is, as the hand has it. */
-export const matrixOf = (object) => (object && hand?.object === object.id ? hand.matrix : (object?.matrix ?? IDENTITY));
+/** Where an object is, as this page has it now. */
+export const matrixOf = (object) => (object && dragged?.object === object.id ? dragged.matrix : (object?.matrix ?? IDENTITY));
 
 const isStill = (matrix) => String(matrix) === String(IDENTITY);
 
@@ -47,7 +43,7 @@ export function inScene(points) {
   return isStill(matrix) ? points : placedAll(matrix, points);
 }
 
-/** What the scene waits for, in words, or null: a file that is read, the first picture of a new object. */
+/** What the scene waits for, as text, or null: a file that is read, the first picture of a new object. */
 export function waitingFor() {
   const { doing, frame } = store.status;
   if (doing) return doing;
@@ -73,49 +69,47 @@ export function handledBox() {
   return { id, name, visible: true, isObject: true, axes: axesOf(matrix), matrix, rest: places, posed: places, size, chosen: ALL };
 }
 
-// -- The hand
+// -- Dragging
 
-/** Begins to move the active object. */
 export function begin(box, label) {
-  hand = { object: box.id, start: box.posed, before: box.matrix, matrix: box.matrix, label: label.slice(0, 100), unsent: false, time: 0 };
+  dragged = { object: box.id, start: box.posed, before: box.matrix, matrix: box.matrix, label: label.slice(0, 100), unsent: false, time: 0 };
   start();
 }
 
-/** Tells the server that the hand moves an object. */
 function start() {
-  hand.broken = !send({ do: "place.begin", object: hand.object, label: hand.label });
+  dragged.broken = !send({ do: "place.begin", object: dragged.object, label: dragged.label });
 }
 
 /** Takes where the corners of the box should be now; the place goes to the server with the next `flush`. */
 export function update(points, time) {
-  if (hand) Object.assign(hand, { matrix: followed(hand.before, hand.start, points), unsent: true, time });
+  if (dragged) Object.assign(dragged, { matrix: followed(dragged.before, dragged.start, points), unsent: true, time });
 }
 
 /** Whether a place waits to be sent although there is a connection. */
-export const isWaiting = () => Boolean(hand?.unsent && !hand.broken);
+export const isWaiting = () => Boolean(dragged?.unsent && !dragged.broken);
 
 /** Sends the newest place, once per animation frame, unless older ones still wait in the socket. */
 export function flush(force = false) {
   if (!isWaiting() || (isCongested() && !force)) return;
   const seq = nextSequence();
-  send({ do: "place.set", object: hand.object, matrix: hand.matrix, seq });
-  hand.unsent = false;
-  latest?.(seq, hand.time);
+  send({ do: "place.set", object: dragged.object, matrix: dragged.matrix, seq });
+  dragged.unsent = false;
+  emit("sent", seq, dragged.time);
 }
 
 /** Ends: one step of undo, or none where it is cancelled. */
 export function end(cancel = false) {
-  if (!hand) return;
+  if (!dragged) return;
   if (!cancel) flush(true);
-  if (cancel) hand.matrix = hand.before;
-  const done = hand;
+  if (cancel) dragged.matrix = dragged.before;
+  const done = dragged;
   const release = () => {
-    if (hand !== done) return; // the hand moves on already
-    hand = null;
+    if (dragged !== done) return; // another drag has begun
+    dragged = null;
     if (waiting) store.set("objects", waiting);
     waiting = null;
   };
-  if (hand.broken) {
+  if (dragged.broken) {
     if (!cancel) toast("Not connected to the editor: what was moved meanwhile is left out.", "warning");
     return release();
   }
@@ -125,22 +119,21 @@ export function end(cancel = false) {
   });
 }
 
-// While the hand moves an object, what the server says of its place is older than what is seen here
+// While an object is dragged, what the server has of its place is older than what is seen here
 guard("objects", (content) => {
-  if (hand) waiting = content;
-  return hand !== null;
+  if (dragged) waiting = content;
+  return dragged !== null;
 });
 when("lost", () => {
-  if (hand) hand.broken = true;
+  if (dragged) dragged.broken = true;
 });
 when("hello", () => {
   waiting = null; // older than what has just come
-  if (!hand) return;
-  start(); // the hand goes on
-  hand.unsent = true;
+  if (!dragged) return;
+  start(); // the drag goes on
+  dragged.unsent = true;
 });
 
-/** Makes an object the active one. */
 export function choose(id) {
   if (store.sections.selection?.object !== id) request({ do: "object.select", id });
 }
@@ -152,7 +145,7 @@ export async function chooseAt({ across, down, aspect }) {
   if (typeof found?.object === "number") choose(found.object);
 }
 
-/** Whether a pixel lies in the box, on the screen, of the object that the hand may move. */
+/** Whether a pixel lies in the box, on the screen, of the object that may be dragged. */
 export function isOverBox(camera, x, y) {
   const box = handledBox();
   if (!box) return false;
@@ -164,18 +157,9 @@ export function isOverBox(camera, x, y) {
 
 function drawBox(context, camera, object, isActive) {
   const screen = projectAll(camera, cornersIn(object));
-  context.beginPath();
-  for (const [a, b] of BOX_EDGES) {
-    if (screen[3 * a + 2] <= 0 || screen[3 * b + 2] <= 0) continue;
-    context.moveTo(screen[3 * a], screen[3 * a + 1]);
-    context.lineTo(screen[3 * b], screen[3 * b + 1]);
-  }
-  context.setLineDash(object.locked ? [4, 4] : []);
-  for (const [color, width] of [[INK.rim, isActive ? 3.4 : 2.4], [isActive ? INK.active : INK.other, isActive ? 1.8 : 1]]) {
-    context.strokeStyle = color;
-    context.lineWidth = width;
-    context.stroke();
-  }
+  const [path, dash] = [linePath(screen, BOX_EDGES), object.locked ? [4, 4] : []];
+  stroke(context, path, INK.rim, isActive ? 3.4 : 2.4, dash);
+  stroke(context, path, isActive ? INK.active : INK.other, isActive ? 1.8 : 1, dash);
   let top = -1;
   for (let i = 0; i < 8; i += 1) if (screen[3 * i + 2] > 0 && (top < 0 || screen[3 * i + 1] < screen[3 * top + 1])) top = i;
   if (top < 0) return;
@@ -191,7 +175,6 @@ function drawBox(context, camera, object, isActive) {
   context.fillText(label, x, y);
 }
 
-/** Draws the boxes and names of all objects that are shown, the active one last. */
 export function drawBoxes(context, camera) {
   const active = activeObject();
   context.save();

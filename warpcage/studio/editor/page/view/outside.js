@@ -9,7 +9,7 @@ import { drawings, getSize, sceneCamera } from "./viewport.js";
 
 let known = null; // the numbers of the objects that were there
 let watched = null; // the number of the object that came last, until it is seen or the notice is closed
-let outside = null; // count of keys whose cameras do not see all; null until the server told it
+let outside = null; // count of keys whose cameras do not see all; null until the server has counted
 let asked = null; // what was asked of the server last
 
 /** Whether a corner of an object's box is beyond the edge of the view. */
@@ -55,7 +55,7 @@ export function start() {
     const object = objects().find(({ id, visible }) => id === watched && visible);
     if (object) countKeys(show);
     const isBeyond = Boolean(object) && isOutside(object);
-    if (object && !isBeyond && outside === 0) watched = null; // seen: it may leave the view by the hand
+    if (object && !isBeyond && outside === 0) watched = null; // seen once: it may leave the view
     root.hidden = !object || store.sections.playback?.playing || !(isBeyond || outside);
     if (root.hidden) return;
     const where = [isBeyond ? "the view" : "", outside ? `${outside} camera ${outside === 1 ? "key" : "keys"}` : ""];

@@ -18,16 +18,16 @@ const HINTED = "warpcage.hinted"; // whether this browser's user knows how to tu
 const MAX_PLACES = 24; // of a stroke that an object is looked for by
 
 let canvas = null;
-let handCursor = null; // of the tool that is on, where the pointer is
-let gesture = null; // {kind: "press" | "turn" | "pan" | "zoom" | "region" | "hand" | "transform" | "pinch", ...}
+let toolCursor = null; // of the tool that is on, where the pointer is
+let gesture = null; // {kind: "press" | "turn" | "pan" | "zoom" | "region" | "tool" | "transform" | "pinch", ...}
 const fingers = new Map(); // pointer id -> [x, y]
 let wanted = null; // takes the place of the next press, or null where Escape ends the waiting
 
 /** Tools of their own files by their names in the store: {click(at, way), begin?(at, reach), drag?(at, details), end?(isKept),
  *  hover?(at, reach) that gives a cursor}. One that has no `drag` turns the view by drags. */
-export const hands = new Map();
-const handNow = () => hands.get(store.tools.tool) ?? null;
-const isPainting = () => isBrush() && !handNow();
+export const pointerTools = new Map();
+const toolNow = () => pointerTools.get(store.tools.tool) ?? null;
+const isPainting = () => isBrush() && !toolNow();
 
 /** The next place that is clicked, or with the brush the places of its next stroke that show matter: shares of the
  *  picture across and down, and its aspect; null after Escape. */
@@ -46,7 +46,7 @@ export function nextPlace() {
   });
 }
 
-/** What a new user of this browser is told: how the mouse turns the view; until it has turned, or the line is closed. */
+/** Says how the mouse turns the view, until it has done so in this browser, or the hint is closed. */
 function showHint() {
   const text = "Orbit: drag with the right button, or with Alt held. Wheel: zoom. The left button selects.";
   const close = button({ id: "turn-hint-close", label: "Close this hint", icon: "close", kind: "flat", onClick: hideHint });
@@ -81,7 +81,7 @@ function startFinger() {
   const coarse = matchMedia("(pointer: coarse)");
   let isTouched = false;
   const show = () => {
-    root.hidden = !(isTouched || coarse.matches) || objects.isPlacing() || isPainting() || Boolean(handNow());
+    root.hidden = !(isTouched || coarse.matches) || objects.isPlacing() || isPainting() || Boolean(toolNow());
     mode.set(store.tools.finger);
     setText(hint, FINGER_HINTS[store.tools.finger]);
     if (isTouched || coarse.matches) document.getElementById("turn-hint")?.remove(); // it is about the mouse
@@ -94,8 +94,7 @@ function startFinger() {
   };
   addEventListener("pointerdown", onTouch, true);
   coarse.addEventListener("change", show);
-  for (const name of ["tools", "settings"]) store.on(name, show);
-  show();
+  store.follow(["tools", "settings"], show);
 }
 
 const placeOf = (event) => {
@@ -156,10 +155,10 @@ function press(event, at) {
     beginTransform(event, at, handle);
     return;
   }
-  const hand = handNow();
-  if (hand) {
-    gesture = { kind: "hand", hand, at, from: at, id: event.pointerId, way: wayOf(event) };
-    hand.begin?.(at, reach);
+  const tool = toolNow();
+  if (tool) {
+    gesture = { kind: "tool", tool, at, from: at, id: event.pointerId, way: wayOf(event) };
+    tool.begin?.(at, reach);
     return;
   }
   if (isPainting()) return beginStroke(event, at, event.altKey || wayOf(event) === "remove" ? "remove" : "add");
@@ -167,7 +166,7 @@ function press(event, at) {
   gesture = { kind: "press", at, id: event.pointerId, element, way: wayOf(event), path: [...at] };
 }
 
-/** A stroke of the brush; `way`: "add", "remove", or "wanted" where somebody waits for its places. */
+/** A stroke of the brush; `way`: "add", "remove", or "wanted" where `nextPlace` waits for its places. */
 function beginStroke(event, at, way) {
   gesture = { kind: "region", shape: "brush", at, id: event.pointerId, way, path: [...at] };
   extendRegion(at);
@@ -186,11 +185,11 @@ function placesOf(path) {
 }
 
 /** What a drag of a tool of its own file does. */
-function dragHand(event, at) {
-  const { hand, from } = gesture;
+function dragTool(event, at) {
+  const { tool, from } = gesture;
   const [dx, dy] = [at[0] - from[0], at[1] - from[1]];
   gesture.isDrag ||= Math.hypot(dx, dy) > tolerances(event).slack;
-  if (gesture.isDrag && hand.drag) hand.drag(at, details(event));
+  if (gesture.isDrag && tool.drag) tool.drag(at, details(event));
   else if (gesture.isDrag) gesture = { ...gesture, kind: "turn", at };
 }
 
@@ -249,7 +248,7 @@ function onMove(event) {
   else if (gesture.kind === "zoom") S.zoomBy(Math.exp(dy * 0.006));
   else if (gesture.kind === "transform") operation.follow(at, details(event));
   else if (gesture.kind === "region") extendRegion(at);
-  else if (gesture.kind === "hand") dragHand(event, at);
+  else if (gesture.kind === "tool") dragTool(event, at);
   showBrush(event, at);
   if (["turn", "pan", "zoom"].includes(gesture.kind)) gesture.at = at;
   requestDraw();
@@ -280,9 +279,9 @@ function onUp(event) {
   }
   else if (ended.kind === "transform") operation.finish();
   else if (ended.kind === "turn") hideHint();
-  else if (ended.kind === "hand") {
-    if (ended.isDrag) ended.hand.end(true);
-    else ended.hand.click(placeOf(event), ended.way);
+  else if (ended.kind === "tool") {
+    if (ended.isDrag) ended.tool.end(true);
+    else ended.tool.click(placeOf(event), ended.way);
   } else if (ended.way === "wanted") wanted?.(placesOf(ended.path));
   else if (ended.kind === "region") {
     const made = overlay.region && S.regionSelection(overlay.region);
@@ -296,7 +295,7 @@ function onUp(event) {
 /** Leaves a gesture without its effect: the system took the pointer, Escape, or a second finger. */
 function abandon() {
   if (gesture?.kind === "transform") operation.finish(true);
-  if (gesture?.kind === "hand") gesture.hand.end?.(false);
+  if (gesture?.kind === "tool") gesture.tool.end?.(false);
   gesture = null;
   Object.assign(overlay, { region: null, preview: null, hover: null, brush: null });
   requestDraw();
@@ -307,10 +306,7 @@ function onCancel(event) {
   abandon();
 }
 
-const spread = ([a, b]) => ({
-  middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2],
-  far: Math.max(10, Math.hypot(a[0] - b[0], a[1] - b[1])),
-});
+const spread = ([a, b]) => ({ middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], far: Math.max(10, Math.hypot(a[0] - b[0], a[1] - b[1])) });
 
 function beginPinch() {
   abandon();
@@ -336,21 +332,19 @@ function onWheel(event) {
   S.zoomBy(Math.exp(way * (event.ctrlKey ? 0.008 : 0.0015)));
 }
 
-/** Shows how large the brush is, where it would paint. */
 function showBrush(event, at) {
   const place = isPainting() && event.pointerType !== "touch" ? at : null;
   if (place || overlay.brush) requestDraw();
   overlay.brush = place;
 }
 
-/** Marks what is under the pointer. */
 function hover([x, y], reach) {
   const ball = ballAt(compass(), x, y);
-  const hand = ball ? null : handNow();
-  const handle = ball || hand ? null : handleAt(gizmo(), x, y, reach);
-  const element = ball || handle || hand || isPainting() ? null : S.elementAt(x, y, reach);
-  handCursor = hand?.hover?.([x, y], reach) ?? null;
-  if (hand) showCursor();
+  const tool = ball ? null : toolNow();
+  const handle = ball || tool ? null : handleAt(gizmo(), x, y, reach);
+  const element = ball || handle || tool || isPainting() ? null : S.elementAt(x, y, reach);
+  toolCursor = tool?.hover?.([x, y], reach) ?? null;
+  if (tool) showCursor();
   const before = overlay.hover;
   const isSame = before?.cage === element?.cage && before?.number === element?.number && before?.mode === element?.mode;
   if (isSame && overlay.handle?.name === handle?.name && overlay.ball === ball) return;
@@ -363,7 +357,7 @@ function showCursor() {
   const { kind } = gesture ?? {};
   const cursors = { turn: "grabbing", pan: "move", zoom: "ns-resize", transform: "grabbing", region: "crosshair" };
   const isOver = overlay.hover && overlay.hover.mode !== "face";
-  const own = isPainting() || handNow() ? (handCursor ?? "crosshair") : null;
+  const own = isPainting() || toolNow() ? (toolCursor ?? "crosshair") : null;
   canvas.style.cursor = cursors[kind] ?? own ?? (overlay.ball || overlay.handle || isOver ? "pointer" : "default");
 }
 
@@ -394,7 +388,6 @@ function onOutside(event) {
   requestDraw();
 }
 
-/** Starts listening on the canvas. */
 export function start(element) {
   canvas = element;
   canvas.addEventListener("pointerdown", onDown);

@@ -82,11 +82,7 @@ export function regionSelection({ shape, path, way }) {
   if (!cage?.visible || !store.tools.cage) return null;
   const screen = screenOf(cage);
   const corners = [path[0], path[1], ...path.slice(-2)];
-  const tests = {
-    rectangle: (s) => P.inRectangle(s, ...corners),
-    lasso: (s) => P.inLasso(s, path),
-    brush: (s) => P.inBrush(s, path, store.tools.brush),
-  };
+  const tests = { rectangle: (s) => P.inRectangle(s, ...corners), lasso: (s) => P.inLasso(s, path), brush: (s) => P.inBrush(s, path, store.tools.brush) };
   const inside = P.region(screen, tests[shape]);
   const found = P.verticesInRegion(C.pickMode(), cage.topology, screen, inside, allowedOf(cage));
   if (way === "replace") return { cage, vertices: found };
@@ -183,7 +179,6 @@ export function lookBy(name) {
   setView(lookFrom(getView(), ...namedDirections(worldUp())[name]));
 }
 
-/** Looks along an axis of the world. */
 export function lookAlong(direction) {
   const named = Object.values(namedDirections(worldUp()));
   const same = named.find(([to]) => to.every((value, k) => Math.abs(value - direction[k]) < 1e-6));

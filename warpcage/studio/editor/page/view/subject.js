@@ -19,7 +19,6 @@ const carrierOf = (cage) => (cage.isObject ? objects : drag);
 
 let carrier = drag; // what takes the places of the operation under way to the server
 
-/** Begins a move of a cage's vertices, or of an object. */
 export function begin(cage, label) {
   carrier = carrierOf(cage);
   carrier.begin(cage, label);
@@ -29,9 +28,3 @@ export const update = (points, time) => carrier.update(points, time);
 export const flush = () => (drag.flush(), objects.flush());
 export const end = (cancel) => carrier.end(cancel);
 export const isWaiting = () => drag.isWaiting() || objects.isWaiting();
-
-/** Calls listener(seq, time) with each message of the hand that was sent. */
-export function whenSent(listener) {
-  drag.whenSent(listener);
-  objects.whenSent(listener);
-}

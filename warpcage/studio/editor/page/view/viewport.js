@@ -28,8 +28,8 @@ let ratio = 1;
 let scheduled = false;
 let picture = null; // {header, bitmap, map, camera}: the newest one
 let unshown = false; // whether the newest picture was not drawn yet
-let view = null; // as the hand has it now
-let viewHeld = false; // the server's view is not taken while the hand moves this one
+let view = null; // as this page has it now
+let viewHeld = false; // the server's view is not taken while a drag moves this one
 let unsentView = false;
 let restTimer = 0;
 let calmUntil = 0;
@@ -47,7 +47,6 @@ export const drawings = [];
 export const viewport = {
   latencies: [], // ms from a pointer's event to the picture of its pose, the last 1000
   latenciesOrNewer: [], // the same for poses that a newer one overtook: to the picture of that one
-  /** Where a vertex of an edit is on the canvas, CSS pixels. */
   project(edit, vertex) {
     const cage = C.cages.get(edit);
     return project(camera(), point(C.places(cage), vertex)).slice(0, 2);
@@ -69,7 +68,7 @@ export const viewport = {
   handles: () => gizmo().map(({ name, line, area, disc, ring }) => ({ name, line, area, disc, ring })),
 };
 
-/** The view that is drawn: that of the hand, or the film's while it plays. */
+/** The view that is drawn: this page's, or the film's while it plays. */
 function viewNow() {
   const isPlaying = store.sections.playback?.playing && !viewHeld;
   return (isPlaying && picture?.header.view) || view || FALLBACK;
@@ -85,7 +84,6 @@ const FALLBACK = { eye: [3, 3, 3], target: [0, 0, 0], up: [0, 0, 1], fov: 45 };
 export const getView = () => view ?? FALLBACK;
 export const getSize = () => [width, height];
 
-/** Asks for a new drawing with the next animation frame. */
 export function requestDraw() {
   if (scheduled || !canvas) return;
   scheduled = true;
@@ -262,7 +260,7 @@ function onShown() {
   if (time < calmUntil) return;
   calmUntil = time + CALM;
   store.setStatus({});
-  setTimeout(() => store.setStatus({}), CALM); // so that the last picture's figures are told too
+  setTimeout(() => store.setStatus({}), CALM); // so that the last picture's figures are shown too
 }
 
 function resize() {
@@ -274,7 +272,7 @@ function resize() {
   if (canvas.width !== w || canvas.height !== h) {
     canvas.width = w;
     canvas.height = h;
-    tellSize();
+    sendSize();
   }
   requestDraw();
 }
@@ -285,30 +283,29 @@ function groundNow() {
   return Math.max(...parts) < 128 ? `#${parts.map((part) => part.toString(16).padStart(2, "0")).join("")}` : null;
 }
 
-/** Tells the server how large the picture should be, and what is behind the scene in it. */
-export function tellSize() {
+/** Sends how large the picture should be, and what is behind the scene in it. */
+export function sendSize() {
   const shrink = Math.min(1, MAX_SIDE / Math.max(canvas.width, canvas.height));
   const [w, h] = [canvas.width, canvas.height].map((side) => Math.round(side * shrink));
   send({ do: "size", width: w, height: h, ground: groundNow() });
 }
 
-/** Watches for a change of the device's pixel ratio, which no resize event tells of. */
+/** Watches for a change of the device's pixel ratio, which causes no resize event. */
 function watchRatio() {
   const query = matchMedia(`(resolution: ${window.devicePixelRatio}dppx)`);
   query.addEventListener("change", () => (resize(), watchRatio()), { once: true });
 }
 
-/** Starts the viewport on a canvas. */
 export function start(element) {
   canvas = element;
   context = canvas.getContext("2d");
   new ResizeObserver(resize).observe(canvas);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", tellSize);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", sendSize);
   watchRatio();
   resize();
 }
 
-subject.whenSent((seq, time) => pending.set(seq, time));
+when("sent", (seq, time) => pending.set(seq, time));
 C.whenChanged(requestDraw);
 for (const name of ["tools", "playback", "settings", "session", "objects"]) store.on(name, requestDraw);
 store.on("status", () => (store.status.connected && drawnWait === objects.waitingFor()) || requestDraw());
@@ -320,7 +317,7 @@ store.on("view", (content) => {
 
 when("hello", () => {
   pending.clear();
-  tellSize();
+  sendSize();
   if (viewHeld) restView();
   requestDraw();
 });

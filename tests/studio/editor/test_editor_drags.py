@@ -1,4 +1,4 @@
-"""The hand on the editor's page, in a headless Chromium: pointer, keys, what is sent, broken connections."""
+"""Drags and keys on the editor's page, in a headless Chromium: what is sent, and broken connections."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ def test_no_key_has_two_actions(page: Modules) -> None:
     assert {key: action["name"] for action in found for key in action["keys"] if key in wanted} == wanted
 
 
-#: A socket of the test's own instead of the browser's, the edit it tells of, and a drag with the connection broken.
+#: A socket of the test's own instead of the browser's, the edit it sends, and a drag with the connection broken.
 BROKEN = """
 const [theirs, isLate, done] = arguments;
 const sockets = [];
 class Socket {
   constructor() { this.sent = []; this.bufferedAmount = 0; sockets.push(this); }
   send(data) { this.sent.push(typeof data === "string" ? JSON.parse(data) : new Float64Array(data, 16)[0]); }
-  hear(message) { this.onmessage({ data: JSON.stringify(message) }); }
+  receive(message) { this.onmessage({ data: JSON.stringify(message) }); }
 }
 window.WebSocket = Socket;
 const rest = [[0, 0, 0], [1, 0, 0], [0, 1, 0]];
@@ -86,7 +86,7 @@ const until = async (test) => { while (!test()) await new Promise((next) => setT
   const names = ["core/connection", "view/drag", "view/cages"];
   const [connection, drag, { cages }] = await Promise.all(names.map((name) => import(`/${name}.js`)));
   connection.connect();
-  sockets[0].hear(hello(rest));
+  sockets[0].receive(hello(rest));
   drag.begin(cages.get(4), "Move a vertex");
   const moved = (x) => Float64Array.from([x, 0, 0, 1, 0, 0, 0, 1, 0]);
   drag.update(moved(0.25), 0);
@@ -97,7 +97,7 @@ const until = async (test) => { while (!test()) await new Promise((next) => setT
   const end = () => drag.end();
   if (!isLate) end();
   await until(() => sockets.length === 2);
-  sockets[1].hear(hello(theirs));
+  sockets[1].receive(hello(theirs));
   if (isLate) { drag.flush(); end(); }
   const kept = cages.get(4).posed[0];
   const sent = sockets[1].sent.map((it) => (it.do ? { do: it.do, label: it.label, vertices: it.vertices } : it));
@@ -143,9 +143,9 @@ class Socket {
     }
     const command = JSON.parse(data);
     window.sent.push(command);
-    if ("n" in command) setTimeout(() => this.hear({ type: "reply", n: command.n, result: null }));
+    if ("n" in command) setTimeout(() => this.receive({ type: "reply", n: command.n, result: null }));
   }
-  hear(message) { this.onmessage({ data: JSON.stringify(message) }); }
+  receive(message) { this.onmessage({ data: JSON.stringify(message) }); }
 }
 window.WebSocket = Socket;
 const canvas = document.getElementById("view");
@@ -159,7 +159,7 @@ Object.assign(canvas.style, { position: "fixed", left: "0", top: "0", width: "64
   pointer.start(canvas);
   actions.listenToKeys();
   connection.connect();
-  socket.hear({ type: "hello", client: 9, session: {}, sections: { edits, view, settings: { mode: "pose" },
+  socket.receive({ type: "hello", client: 9, session: {}, sections: { edits, view, settings: { mode: "pose" },
     selection: { edit: 1, mode: "vertex", vertices: [] }, session: { field: { up: [0, 0, 1] } } } });
   window.warpcage = { store, viewport: viewport.viewport, run };
   canvas.focus();
@@ -205,8 +205,8 @@ class Stage:
     def selected(self) -> list[int]:
         self.settle()
         chosen = self.do("return warpcage.store.sections.selection.vertices")
-        told = [it["vertices"] for it in self.do("return sent") if it["do"] == "select"]
-        assert not told or told[-1] == chosen  # the server knows
+        sent = [it["vertices"] for it in self.do("return sent") if it["do"] == "select"]
+        assert not sent or sent[-1] == chosen  # the server knows
         return chosen
 
     def click(self, place: Any, keys: int = 0) -> None:
@@ -450,7 +450,7 @@ def test_a_switch_says_whether_a_finger_orbits_or_selects(stage: Stage) -> None:
 
 
 def test_the_dialog_of_a_film_says_what_it_takes(stage: Stage) -> None:
-    def told() -> str:
+    def note() -> str:
         stage.settle()
         return stage.do('return document.getElementById("dialog-note").textContent')
 
@@ -469,7 +469,7 @@ def test_the_dialog_of_a_film_says_what_it_takes(stage: Stage) -> None:
     )
     fill("width", "640")
     fill("height", "400")
-    assert told() == (
+    assert note() == (
         "100 frames (the first and the last moment are both shown) of 640 x 400 pixels, into /films/film.mp4. "
         "Time and file size: unknown until a first frame was rendered."
     )
@@ -478,21 +478,21 @@ def test_the_dialog_of_a_film_says_what_it_takes(stage: Stage) -> None:
         stage.driver.execute_script(HEAR, [frame(number + 1, 0, 5.0, sharp=True, ms=times)])
         stage.settle()
     stage.do("warpcage.store.setStatus({})")
-    assert "Takes about 40 s and " in told()
+    assert "Takes about 40 s and " in note()
     fill("width", "1280")
     fill("height", "800")
-    assert "Takes about 70 s and " in told()
-    before = told()
+    assert "Takes about 70 s and " in note()
+    before = note()
     shown = 'return !document.getElementById("ask-transparent").closest("label").hidden'
     assert not stage.do(shown)
     fill("what", "4")  # PNG pictures
-    assert told() != before and stage.do(shown)
+    assert note() != before and stage.do(shown)
     stage.do('warpcage.store.set("timeline", { ...warpcage.store.sections.timeline, frames: 10000 })')
     fill("file", "mine")
-    assert "Takes about 2 h" in told()
+    assert "Takes about 2 h" in note()
     stage.do('warpcage.store.set("settings", { ...warpcage.store.sections.settings, supersampling: 3 })')
     stage.do("warpcage.store.setStatus({})")
-    assert "unknown until" in told()
+    assert "unknown until" in note()
     stage.do("document.getElementById('dialog-confirm').click()")
     (sent,) = stage.sent("export")
     assert (sent["what"], sent["file"], sent["transparent"], sent["width"]) == ("png", "mine", True, 1280)
