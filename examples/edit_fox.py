@@ -24,7 +24,7 @@ import warp as wp
 import warpcage
 from warpcage.core.devices import resolve_device
 from warpcage.core.files import atomic_path
-from warpcage.view.film import write_video
+from warpcage.studio.films.video import write_video
 from warpcage.view.overlay import draw_cage
 from warpcage.view.pictures import contact_sheet, write_png
 

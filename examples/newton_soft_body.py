@@ -16,8 +16,8 @@ import warp as wp
 
 import warpcage
 from warpcage.core.devices import resolve_device
+from warpcage.studio.films.video import write_video
 from warpcage.view.camera import framing_orbit
-from warpcage.view.film import write_video
 from warpcage.view.pictures import to_uint8
 
 FRAMES, RATE, STEPS = 40, 24, 16  # pictures, pictures a second, steps of the simulation for each

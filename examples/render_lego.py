@@ -28,9 +28,9 @@ from warpcage.core.files import atomic_path
 from warpcage.core.threads import cpu_threads
 from warpcage.demo.brick_scene import write_brick_scene
 from warpcage.fitting.evaluation import evaluate, mean_psnr
+from warpcage.studio.films.motion import pose_weights
+from warpcage.studio.films.video import write_gif, write_video
 from warpcage.view.camera import framing_orbit
-from warpcage.view.film import write_gif, write_video
-from warpcage.view.motion import pose_weights
 from warpcage.view.overlay import draw_cage
 from warpcage.view.pictures import color_disparity, contact_sheet, disparity_range, to_uint8, write_png
 

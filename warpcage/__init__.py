@@ -3,8 +3,8 @@
 images + cameras -> Scene -> VoxelField -> surface mesh -> Cage -> coordinates on a lattice -> deformed frames,
 after Xu and Harada, "Deforming Radiance Fields with Cages" (ECCV 2022).
 
-Each name is loaded when it is first used (PEP 562, SPEC 1), so that `import warpcage` takes no time. `__init__.pyi`
-tells type checkers what the names are.
+Each name is loaded when it is first used (PEP 562, SPEC 1), so that `import warpcage` takes no time; type checkers read
+`__init__.pyi`.
 """
 
 from .package import find_kernels, find_moved, lazy_exports, require_dependencies
@@ -23,8 +23,9 @@ _HOMES = {
     "cage.random_poses": ["RandomPoses"],
     "coordinates.coordinates": ["deform_points", "green_coordinates", "harmonic_coordinates", "mean_value_coordinates"],
     "deform.bake": ["bake"],
-    "deform.deformer": ["Deformer", "SplatDeformer"],
+    "deform.deformer": ["Deformer"],
     "deform.fill": ["fill_unseen"],
+    "deform.splat_deformer": ["SplatDeformer"],
     "deform.stage": ["Stage"],
     "edits.edits": ["CageEdit"],
     "edits.place": ["Place", "PlaceFile"],
@@ -56,9 +57,9 @@ _HOMES = {
     "view.frame": ["Frame", "Frames"],
 }
 
-_ROOMS = (
-    "cage coordinates core deform edits examples field fitting kernels lattice mesh reference render scene select "
+_PACKAGES = (
+    "cage coordinates core deform demo edits examples field fitting kernels lattice mesh render scene select "
     "splats studio view"
 ).split()
 
-__getattr__, __dir__, __all__ = lazy_exports(__name__, _HOMES, _ROOMS)  # pyright: ignore[reportUnsupportedDunderAll]
+__getattr__, __dir__, __all__ = lazy_exports(__name__, _HOMES, _PACKAGES)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -1,10 +1,8 @@
-"""What warpcage raises: each refusal is an `Error`, and what Python calls such a mistake too."""
-
-# Each stands beside the class of Python's that it was before, so that both are caught.
+"""The exceptions of warpcage: each is an `Error` and the class of Python's for such a mistake."""
 
 
 class Error(Exception):
-    """A refusal of warpcage: what is wrong, where, and what would be right, in one line."""
+    """Base of all errors that warpcage raises: what is wrong, where, and what would be right, in one line."""
 
 
 class InputError(Error, ValueError):
@@ -16,7 +14,7 @@ class MissingFileError(Error, FileNotFoundError):
 
 
 class UseError(Error, TypeError):
-    """A use that an object is not for."""
+    """An object that cannot be used in this way."""
 
 
 class StateError(Error, RuntimeError):
@@ -28,11 +26,11 @@ class MissingPackageError(Error, ImportError):
 
 
 class Cancelled(Error):
-    """Work that a caller ended: its `progress` returned False. Nothing half-written stays, and the device goes on."""
+    """Work that its caller cancelled: `progress` returned False. No unfinished file stays; the device can be used."""
 
 
 class FileError(Error, OSError):
-    """What the system refuses, beside Python's own class of it, such as PermissionError: see `file_error`."""
+    """An error of the system, also of Python's class for it, such as PermissionError: see `file_error`."""
 
     def __reduce__(self):
         return _file_error, (type(self).__bases__[-1], self.args, self.filename)
@@ -48,7 +46,7 @@ def _file_error(kind: type[OSError], args: tuple, filename: object) -> FileError
 
 
 def file_error(error: OSError) -> OSError:
-    """An error of the system as an `Error` too: of a class of both, so that either is caught."""
+    """An error of the system as an instance of its class and of `Error`."""
     if isinstance(error, Error) or type(error).__module__ != "builtins":
         return error
     return _file_error(type(error), error.args, error.filename)

@@ -1,4 +1,4 @@
-"""The package itself: kernels and dependencies that it finds, and names that are loaded when they are first used."""
+"""Imports of the package: its kernels, its dependencies, old names of modules, and names loaded at their first use."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from types import CodeType, ModuleType
     from typing import Any
 
-#: Modules that the package's own modules import at once, and the names under which they are installed. The other
-#: dependencies are imported where they are used.
+#: Modules that are always imported, and the names under which they are installed. Other dependencies are imported where
+#: they are used.
 NEEDED = {"numpy": "numpy", "warp": "warp-lang", "imageio": "imageio"}
 
-#: Whether this is the package, and not a part of it that `warpcage kernels copy` has put into somebody's.
+#: Whether this is the package, not a part of it that `warpcage kernels copy` put into another one.
 IS_WHOLE = __name__ == "warpcage.package"
 
 #: Packages and modules that moved, by the names that they had up to version 0.2.
@@ -27,6 +27,7 @@ MOVED = {
     "warpcage.captures": "warpcage.studio.captures",
     "warpcage.cli": "warpcage.studio.cli",
     "warpcage.edits.words": "warpcage.edits.spec",
+    "warpcage.core.locks": "warpcage.core.threads",
     "warpcage.editor": "warpcage.studio.editor",
     "warpcage.field.clean": "warpcage.select.clean",
     "warpcage.field.objects": "warpcage.select.objects",
@@ -34,6 +35,10 @@ MOVED = {
     "warpcage.field.selection": "warpcage.select.selection",
     "warpcage.reference": "warpcage.demo",
     "warpcage.films": "warpcage.studio.films",
+    "warpcage.view.film": "warpcage.studio.films.video",
+    "warpcage.view.film_motion": "warpcage.studio.films.motion",
+    "warpcage.view.moves": "warpcage.studio.films.moves",
+    "warpcage.view.opacity": "warpcage.view.frame_parts",
 }
 
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
@@ -42,7 +47,7 @@ _ROOT = os.path.dirname(_PACKAGE)
 
 
 def require_dependencies() -> None:
-    """Refuse to begin where a module is missing that the package imports."""
+    """Raise ImportError where a module of NEEDED is missing."""
     missing = " ".join([NEEDED[module] for module in NEEDED if not _is_installed(module)])
     if missing:
         from .core.names import install_line
@@ -124,23 +129,23 @@ def _is_copied(package: str, module: str) -> bool:
     return os.path.isfile(f"{base}.py") or os.path.isfile(os.path.join(base, "__init__.py"))
 
 
-def lazy_exports(package: str, homes: dict, rooms: list | tuple = ()) -> tuple:
-    """`__getattr__`, `__dir__` and `__all__` of a package. homes: names by module, as a list or as words;
-    rooms: its modules that are names themselves."""
+def lazy_exports(package: str, homes: dict, packages: list | tuple = ()) -> tuple:
+    """`__getattr__`, `__dir__` and `__all__` of a package. homes: names by module, in a list or between
+    spaces; packages: modules that are names themselves."""
     modules = {}
     for module, names in homes.items():
         if IS_WHOLE or _is_copied(package, module):
             modules |= dict.fromkeys(names.split() if isinstance(names, str) else names, module)
 
     def load(name: str) -> object:
-        if name not in modules and name not in rooms and f"{package}.{name}" not in MOVED:
+        if name not in modules and name not in packages and f"{package}.{name}" not in MOVED:
             raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name)
         from importlib import import_module
 
-        found = import_module(f"{package}.{modules.get(name, name)}")
+        found = import_module(f".{modules.get(name, name)}", package)
         if name in modules:
             found = getattr(found, name)
         setattr(sys.modules[package], name, found)  # the next time Python finds it by itself
         return found
 
-    return load, lambda: sorted({*vars(sys.modules[package]), *modules, *rooms}), sorted(modules)
+    return load, lambda: sorted({*vars(sys.modules[package]), *modules, *packages}), sorted(modules)

@@ -123,7 +123,7 @@ def angle_over_sine(cosine: float):
 @wp.func
 def face_edge(b: wp.vec3, c: wp.vec3):
     """The edge from b to c, without division or branch: beta / |C| is angle_over_sine(|cos beta|) / (|b| |c|), and for
-    obtuse angles, whose sine the cosine does not tell, pi / |C| less that."""
+    obtuse angles, whose sine the cosine does not give, pi / |C| less that."""
     edge = FaceEdge()
     edge.cross = wp.cross(b, c - b)
     squared = wp.dot(edge.cross, edge.cross)

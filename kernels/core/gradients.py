@@ -1,4 +1,4 @@
-"""Functions through which no gradient passes: a wp.Tape that asks them for one is told so, and gets NaN."""
+"""Functions through which no gradient passes: a wp.Tape that asks for one gets NaN, and a line is printed."""
 
 # Warp calls the adjoint of C++ (`wp.func_native`) if it takes an argument: where none is given, a gradient is zero in
 # silence. In loops whose length is not known, in which numbers change that others are made of, it is wrong in silence.

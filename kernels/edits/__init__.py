@@ -1,1 +1,1 @@
-"""Kernels of edits: what a pose is, where samples of a deformed scene lie at rest, tables of cells."""
+"""Kernels of edits: structs of a pose, maps of samples of a deformed scene to rest, tables of cells."""

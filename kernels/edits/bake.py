@@ -25,7 +25,7 @@ B = wp.constant(1.0925484305920792)
 
 C = wp.constant(0.31539156525252005)
 
-#: Seven directions in which band 3 is well told apart (condition 2.4), and the inverse of its functions there.
+#: Seven directions at which band 3 is well conditioned (2.4), and the inverse of its functions there.
 # fmt: off
 PROBES = wp.constant(mat73(
     0.7071067811865476, 0.7071067811865476, 0.0,

@@ -196,7 +196,7 @@ def scene_is_empty(
             if center[axis] - half[axis] < lower[axis] or center[axis] + half[axis] > upper[axis]:
                 within = False
         if not beside:
-            # what of the box is in the edit's, which knows the scene beneath there
+            # the part of the box in the edit's, whose `skip` counts the scene beneath there
             low = wp.max(center - half, lower)
             high = wp.min(center + half, upper)
             g = (0.5 * (low + high) - lower) * edit.deformed.inverse_spacing
@@ -222,7 +222,7 @@ def mark_edit_cells(
 ):
     """0 at the lattice cells of an edit in which a march must look, REACH_LIMIT at the others. Earlier edits' `skip`
     must be ready; step: of the march, world units."""
-    # The scene beneath, canonical grid and earlier edits, is asked whether the box of the corners' images is empty.
+    # The scene beneath, canonical grid and earlier edits, decides whether the box of the corners' images is empty.
     # Sub-samples reach half a step out of the cell. Cells mapped out of the rest cage are looked at, to be counted.
     i, j, k = grid_place(first + wp.tid(), marks.shape[1], marks.shape[2])
     edit = edits[edit_index]
@@ -317,7 +317,7 @@ def settle_rest_cells(first: int, rest: CageMap, slack: float, flags: wp.array3d
 
 @wp.kernel
 def settle_deformed_cells(first: int, edit: LatticeEdit, flags: wp.array3d(dtype=wp.uint8)):
-    """The settled_case of each cell over the deformed cage, and what the lattice's map says of the inside ones:
+    """The settled_case of each cell over the deformed cage, and flags of the lattice's map in the inside ones:
     CELL_STAYS as the lattice has it, CELL_STEEP where it may be, CELL_FOLDED where the map may turn over somewhere."""
     i, j, k = grid_place(first + wp.tid(), flags.shape[1], flags.shape[2])
     case = settled_case(edit.deformed, i, j, k, edit.tolerance)

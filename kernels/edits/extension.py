@@ -207,7 +207,7 @@ def mark_carrying_cells(
     first: int, edit: LatticeEdit, marks: wp.array3d(dtype=wp.uint8), cells: wp.array3d(dtype=wp.uint8)
 ):
     """CELL_CARRIES at marked cells, and what else holds there, but for those wholly in the cage or at a narrow gap of
-    it. `cells` holds what edits/cell_tables.mark_edit_cases says. One item per cell."""
+    it. `cells` holds the flags of edits/cell_tables.mark_edit_cases. One item per cell."""
     i, j, k = grid_place(first + wp.tid(), cells.shape[1], cells.shape[2])
     if marks[i, j, k] == wp.uint8(0):
         return

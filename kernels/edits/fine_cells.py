@@ -19,17 +19,17 @@ from .structs import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_ST
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
-#: Fine cells of a cell along each axis, in all, and words that hold four bytes of them.
+#: Fine cells of a cell along each axis, in all, and uint32s that hold four of their bytes each.
 FINE_SIDE = wp.constant(4)
 
 FINE_COUNT = wp.constant(64)
 
-FINE_WORDS = wp.constant(16)
+FINE_UINTS = wp.constant(16)
 
 #: Width of a fine cell, in cells.
 FINE_SIZE = wp.constant(0.25)
 
-#: Distance of a fine cell that is farther than all that bits of the neighbouring cells tell.
+#: Distance of a fine cell that is farther than the bits of the neighbouring cells reach.
 FINE_FAR = wp.constant(5)
 
 #: A fine cell whose image meets more rows of the grid's cells is looked at: it is stretched out of all proportion.
@@ -163,8 +163,8 @@ def fine_bounds(edges: FineEdges, x: float):
     return bounds
 
 
-# A GPU waits for instructions where a kernel is long: what is called twice is called in a loop of while, which nobody
-# unrolls.
+# A GPU waits for instructions where a kernel is long: what is called twice is called in a `while`, which is not
+# unrolled.
 
 
 @wp.func
@@ -401,9 +401,9 @@ def near_in_layer(looks: wp.array(dtype=wp.uint64), n: int, nz: int, nyz: int):
 
 
 @wp.func
-def bytes_of(bits: wp.uint64, word: int):
-    """1 in each byte of a word whose fine cell's bit is set."""
-    four = wp.uint32(bits >> wp.uint64(FINE_SIDE * word)) & wp.uint32(15)
+def bytes_of(bits: wp.uint64, part: int):
+    """The uint32 of four fine cells with 1 in each byte whose cell's bit is set."""
+    four = wp.uint32(bits >> wp.uint64(FINE_SIDE * part)) & wp.uint32(15)
     return (four * BITS_TO_BYTES) & BYTES_OF_ONE
 
 
@@ -412,7 +412,7 @@ def spread_fine_cells(
     first: int, edit: EditData, looks: wp.array(dtype=wp.uint64), fine_look: wp.array(dtype=wp.uint32)
 ):
     """How far each fine cell is from the nearest that a march must look at; an item a cell, in whole groups of lanes.
-    looks: (nodes,) bits; fine_look: (FINE_WORDS * nodes,) of four bytes, LOOK_SKIP + distance where there is no bit."""
+    looks: (nodes,) bits; fine_look: (FINE_UINTS * nodes,) of four bytes, LOOK_SKIP + distance where there is no bit."""
     item = first + wp.tid()
     nodes = looks.shape[0]
     n = wp.min(item, nodes - 1)
@@ -433,17 +433,17 @@ def spread_fine_cells(
     # the lanes write the cells of their group one after the other, side by side
     lane = item % lane_count()
     place = int(lane)
-    while place < FINE_WORDS * lane_count():
-        owner = place / FINE_WORDS
-        word = place % FINE_WORDS
+    while place < FINE_UINTS * lane_count():
+        owner = place / FINE_UINTS
+        part = place % FINE_UINTS
         cells_apart = index_from_lane(apart, owner)
-        within = bytes_of(mask_from_lane(near.one, owner), word) + bytes_of(mask_from_lane(near.two, owner), word)
-        within += bytes_of(mask_from_lane(near.three, owner), word) + bytes_of(mask_from_lane(near.four, owner), word)
+        within = bytes_of(mask_from_lane(near.one, owner), part) + bytes_of(mask_from_lane(near.two, owner), part)
+        within += bytes_of(mask_from_lane(near.three, owner), part) + bytes_of(mask_from_lane(near.four, owner), part)
         distances = wp.uint32(LOOK_SKIP + wp.max(FINE_FAR, FINE_SIDE * (cells_apart - 1) + 1)) * BYTES_OF_ONE - within
-        at = (item - lane) * FINE_WORDS + place
-        if at < FINE_WORDS * nodes:
+        at = (item - lane) * FINE_UINTS + place
+        if at < FINE_UINTS * nodes:
             if cells_apart <= 0:
-                kept = bytes_of(looks[at / FINE_WORDS], word) * wp.uint32(255)
+                kept = bytes_of(looks[at / FINE_UINTS], part) * wp.uint32(255)
                 distances = (distances & ~kept) | (fine_look[at] & kept)
             fine_look[at] = distances
         place += lane_count()

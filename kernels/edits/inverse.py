@@ -107,7 +107,7 @@ def side_distance(edit: EditData, n: int, entry: int, side: int, f: wp.vec3):
 @wp.func
 def met_place(edit: EditData, n: int, entry: int, side: int, corners: mat83, target: wp.vec3):
     """The place of the cell above node n that the map takes to `target`, in cells of the rest lattice, and its signed
-    distance to the posed cage; 1e6 where there is none. The nearest side of a cell tells where its map leads."""
+    distance to the posed cage; 1e6 where there is none. The nearest side of a cell decides where its map leads."""
     f = place_in_cell(corners, target)
     distance = float(1.0e6)
     if wp.min(f) >= -CELL_MARGIN and wp.max(f) <= 1.0 + CELL_MARGIN:
@@ -136,7 +136,7 @@ def scatter_cells(
     folds: wp.array(dtype=int),
 ):
     """Each cell of the posed lattice puts its number down at the nodes of the rest lattice in its image; the lowest
-    stays. An item a cell, all on one thread of a CPU. cells: CELL_... flags; grid: its `skip` tells where matter is."""
+    stays. An item a cell, all on one thread of a CPU. cells: CELL_... flags; grid: its `skip` marks where matter is."""
     # owners: (nx, ny, nz) of the rest lattice, NO_CELL before: n, or n plus the number of posed nodes out of the posed
     # cage. folds: (1,) becomes 1 where the map turns matter over, into several places, or squeezes it too much to look.
     i, j, k = grid_place(first + wp.tid(), cells.shape[1], cells.shape[2])

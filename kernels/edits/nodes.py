@@ -10,8 +10,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 forward_only = forward_only_in(__name__, (float, wp.vec3))
 
-#: Words of four numbers that a cell's coefficients take: eight of three numbers each, one after the other.
-CELL_WORDS = wp.constant(6)
+#: vec4s of a cell's coefficients: eight of three numbers each, one after the other.
+CELL_VEC4S = wp.constant(6)
 
 #: A position, and the derivative behind it.
 vec6 = wp.types.vector(length=6, dtype=wp.float32)
@@ -26,7 +26,7 @@ def expand_map_cells(
     polynomials: wp.array(dtype=wp.vec4),
 ):
     """The polynomial of the cell above each node, but for cells that are skipped as a whole; one item a node.
-    nodes, look: of edits/structs; polynomials: (CELL_WORDS * nodes,)."""
+    nodes, look: of edits/structs; polynomials: (CELL_VEC4S * nodes,)."""
     n = first + wp.tid()
     if int(look[n]) >= LOOK_SKIP:
         return
@@ -40,7 +40,7 @@ def expand_map_cells(
     xz = (nodes[n + sx + 1] - c) - (x + z)
     xy = (nodes[n + sx + sz] - c) - (x + y)
     xyz = (nodes[n + sx + sz + 1] - c) - (x + y + z) - (xy + xz + yz)
-    to = CELL_WORDS * n
+    to = CELL_VEC4S * n
     polynomials[to] = wp.vec4(c[0], c[1], c[2], x[0])
     polynomials[to + 1] = wp.vec4(x[1], x[2], y[0], y[1])
     polynomials[to + 2] = wp.vec4(y[2], z[0], z[1], z[2])
@@ -56,8 +56,8 @@ def expand_map_cells(
     const float4* begin = reinterpret_cast<const float4*>(polynomials.data) + (size_t)6 * (unsigned)n;
     #pragma unroll
     for (int i = 0; i < 6; ++i) {
-        const float4 word = __ldg(begin + i);
-        c[4 * i] = word.x; c[4 * i + 1] = word.y; c[4 * i + 2] = word.z; c[4 * i + 3] = word.w;
+        const float4 four = __ldg(begin + i);
+        c[4 * i] = four.x; c[4 * i + 1] = four.y; c[4 * i + 2] = four.z; c[4 * i + 3] = four.w;
     }
 #else
     const float* begin = reinterpret_cast<const float*>(polynomials.data) + (size_t)24 * n;

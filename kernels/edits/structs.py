@@ -127,7 +127,7 @@ class EditData:
     nodes: wp.array(dtype=wp.vec4)  # canonical position and signed distance
     polynomials: wp.array(dtype=wp.vec4)  # the map again, by cells (edits/nodes); marches for one edit read it
     look: wp.array(dtype=wp.uint8)  # (nodes,) of the cell above each; the last of an axis have none
-    fine_bits: int  # 2^fine_bits fine cells along each side of a cell are told apart
+    fine_bits: int  # there are 2^fine_bits fine cells along each side of a cell
     last_fine: wp.vec3i  # number of the last one along each axis
     fine_width: float  # of one, in cells
     fine_size: float  # world units
@@ -143,8 +143,8 @@ class EditData:
     keeps_source: int
     removes: int
     all_outside: int  # CELL_OUTSIDE if no place is mapped, as the edit removes; else 0
-    carried_below: float  # rest distance of what shades have in the layer of matter that goes with the pose
-    fragments: FragmentCells  # only the march through several edits knows them
+    carried_below: float  # samples below this rest distance read the colours of the carried layer
+    fragments: FragmentCells  # only the march through several edits reads them
 
 
 @wp.func

@@ -1,4 +1,4 @@
-"""Arbitrary points and directions of a deformed scene in canonical space, for renderers other than ours."""
+"""Arbitrary points and directions of a deformed scene in canonical space, for other renderers too."""
 
 from typing import Any
 
@@ -43,7 +43,7 @@ CLOSED_FORM_DIFFERENCE = wp.constant(2.0e-3)
 
 @wp.struct
 class EditPoint:
-    """What one edit says of a point."""
+    """A point under one edit."""
 
     position: wp.vec3  # in the rest cage where `mapped`, else as it was
     mapped: int  # 1: the point is in the deformed cage
@@ -53,7 +53,7 @@ class EditPoint:
 
 @wp.struct
 class CanonicalPoint:
-    """What all edits say of a point."""
+    """A point under all edits."""
 
     position: wp.vec3
     region: int  # UNCHANGED, CLEARED or MAPPED
@@ -216,7 +216,7 @@ def edit_point(edit: ExactEdit, x: wp.vec3):  # noqa: F811
         position = map_position(edit.carried, x)
         if in_fragments(edit.fragments, position):
             result.mapped = 1
-            result.flags = CELL_CARRIES | CELL_STEEP  # a lattice's map, which is not asked whether it folds over
+            result.flags = CELL_CARRIES | CELL_STEEP  # a lattice's map, which is not checked for folds
             result.position = position
     return result
 
@@ -226,7 +226,7 @@ def traced_point(edits: Any, x: wp.vec3):
     """Trace a point of the deformed scene to canonical space: Eq. 5 for each of `edits`, the last first."""
     result = CanonicalPoint()
     position = x
-    cleared = int(0)  # then it goes on through the earlier edits: `position` says what was cleared there
+    cleared = int(0)  # then it goes on through the earlier edits; `position` is where it was cleared
     e = int(edits.shape[0]) - 1
     while e >= 0 and result.vacant == 0:
         edit = edits[e]
@@ -251,13 +251,13 @@ def traced_point(edits: Any, x: wp.vec3):
 
 @wp.func
 def canonical_point(edits: Any, x: wp.vec3):
-    """What the edits say of a point: see traced_point."""
+    """A point under all edits, see traced_point."""
     return traced_point(edits, x)
 
 
 @wp.func(inline=False)  # as slow as the closed forms in it: halves what a march takes to compile
 def canonical_point(edits: wp.array(dtype=ExactEdit), x: wp.vec3):  # noqa: F811
-    """What edits by closed forms say of a point: see traced_point."""
+    """A point under all edits by closed forms, see traced_point."""
     return traced_point(edits, x)
 
 
@@ -337,13 +337,13 @@ def turns_over(edit: ExactEdit, x: wp.vec3):
 
 @wp.func
 def has_inverted_cells(edits: Any, x: wp.vec3, point: CanonicalPoint):
-    """Whether any of the maps that a point x goes through turns space over there: what the lattice cells say."""
+    """Whether any of the maps that a point x goes through turns space over there, by the flags of lattice cells."""
     return (point.flags & CELL_FOLDED) != 0
 
 
 @wp.func
 def has_inverted_cells(edits: wp.array(dtype=ExactEdit), x: wp.vec3, point: CanonicalPoint):  # noqa: F811
-    """The same without lattices, whose cells only say where that is possible."""
+    """The same without lattices, whose cells only show where that is possible."""
     position = x
     rest_of_path = point.path
     if (point.flags & CELL_FOLDED) == 0:

@@ -1,4 +1,4 @@
-"""The rows of a sparse voxel grid told by bits: a table ten times smaller than links, and two nodes in one read."""
+"""The rows of a sparse voxel grid as bits: a table ten times smaller than links, and two nodes in one read."""
 
 # A column (i, j) is cut into blocks of 31 nodes, each with the 32 bits of its nodes and the next block's first, and the
 # number of rows before it: nodes k and k + 1 are always in one block. Rows are numbered anew, in memory order.

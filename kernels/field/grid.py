@@ -14,7 +14,7 @@ eight_weights = wp.types.vector(length=8, dtype=wp.float32)
 
 forward_only = forward_only_in(__name__, (eight_weights, wp.vec3))
 
-#: Samples of a ray that float32 tells apart; rays that meet nothing begin beyond them.
+#: Samples of a ray that float32 can count; rays that meet nothing begin beyond them.
 MAX_SAMPLES = wp.constant(8388608.0)
 
 #: C++ of several functions: numbers of eight rows, each in its weight, added up. Both widths are known while compiling.

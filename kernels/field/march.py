@@ -8,6 +8,7 @@ from ..core.gradients import forward_only_in
 from ..core.loads import cell_byte
 from ..core.variants import declared_once, variant_module
 from ..view.rays import PinholeCamera, pixel_direction, strided_pixel, tile_pixel
+from .colors import ShadedGrid, color_at
 from .densities import row_density
 from .grid import (
     VoxelGrid,
@@ -23,7 +24,6 @@ from .grid import (
 )
 from .harmonics import sh_basis
 from .rows import RowTable, row_color
-from .shades import ShadedGrid, shade_at
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -47,7 +47,7 @@ class Radiance:
 
 @wp.func
 def pending_color(color: wp.vec3, transmittance: float, pending: float):
-    """What samples add whose colour was not looked up: that of the others, or grey where there are none."""
+    """Colour of the samples whose rows were not read: the mean colour of the others, or grey without any."""
     looked_up = 1.0 - transmittance - pending
     if looked_up > 0.5 * PENDING_WEIGHT:
         return (pending / looked_up) * color
@@ -64,7 +64,7 @@ def visible_depth(depth: float, opacity: float):
 def image_kernel(shaded: bool) -> Any:
     """The kernel that renders a view, by a RowTable or by a ShadedGrid."""
     table_type = ShadedGrid if shaded else RowTable
-    variant = "shades" if shaded else "rows"
+    variant = "shaded" if shaded else "rows"
 
     @wp.func
     def march(grid: VoxelGrid, table: table_type, origin: wp.vec3, direction: wp.vec3, step: float, stop: float):
@@ -94,7 +94,7 @@ def image_kernel(shaded: bool) -> Any:
                 k = wp.where(after > k + 1.0, after, k + 1.0)
             else:
                 if wp.static(shaded):
-                    shade = shade_at(table, ci, cj, ck, offset)
+                    shade = color_at(table, ci, cj, ck, offset)
                     if shade[3] > 0.0:
                         kept = wp.exp(-shade[3])
                         weight = result.transmittance * (1.0 - kept)

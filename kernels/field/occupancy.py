@@ -71,7 +71,7 @@ def gather_densities(
     return 1;
 """)
 def take_news(density: wp.array(dtype=wp.float32), kept: wp.array(dtype=wp.float32), begin: int, end: int) -> int:
-    """Copy a run of values where any bit of them differs; whether that was so."""
+    """Copy a run of values if any bit differs, and return whether one did."""
     ...
 
 
@@ -79,7 +79,7 @@ def take_news(density: wp.array(dtype=wp.float32), kept: wp.array(dtype=wp.float
 def note_densities(
     first: int, density: wp.array(dtype=wp.float32), kept: wp.array(dtype=wp.float32), changed: wp.array(dtype=wp.int32)
 ):
-    """Keep the densities (rows,), COMPARED_VALUES an item; `changed` (1,) becomes 1 where one is news."""
+    """Keep the densities (rows,), COMPARED_VALUES an item; `changed` (1,) becomes 1 where one differs."""
     begin = (first + wp.tid()) * COMPARED_VALUES
     if take_news(density, kept, begin, wp.min(begin + COMPARED_VALUES, density.shape[0])) == 1:
         changed[0] = 1  # all items write the same number
@@ -126,7 +126,7 @@ def note_signs(
     positive: wp.array(dtype=wp.uint8),
     changed: wp.array(dtype=wp.int32),
 ):
-    """Keep which densities (rows,) are above zero; `changed` (1,) becomes 1 where that is news."""
+    """Keep which densities (rows,) are above zero; `changed` (1,) becomes 1 where a sign differs."""
     n = first + wp.tid()
     value = wp.uint8(wp.where(density[n] > 0.0, 1, 0))
     if positive[n] != value:

@@ -95,7 +95,7 @@ class OuterStep:
 
 @wp.func
 def along(v: wp.vec3, axis: int):
-    """v[axis]: an index that is known late would put v into memory."""
+    """v[axis] by branches: a runtime index would put v into local memory."""
     return wp.where(axis == 0, v[0], wp.where(axis == 1, v[1], v[2]))
 
 
@@ -212,7 +212,7 @@ def outer_piece(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, turn: Out
 
 @wp.func
 def outer_place(outer: OuterGrid, piece: OuterPiece, k: int):
-    """Node coordinates of a sample; what is beyond the last nodes, towards infinity, is as they are."""
+    """Node coordinates of a sample, clamped to the last nodes towards infinity."""
     g = piece.start + (float(k) + 0.5) * piece.slope
     top = float(outer.links.shape[0] - 1) - 1.0e-3
     return wp.vec3(wp.clamp(g[0], 0.0, top), wp.clamp(g[1], 0.0, top), wp.clamp(g[2], 0.0, top))

@@ -1,7 +1,7 @@
 """Colour of a sparse voxel grid at a place, with few reads: field/grid for marches that are to be fast."""
 
 # On CUDA a row's harmonics are two reads of 16 bytes: three constant terms as halves, the others in 8 bits, in units of
-# the largest; the basis is rounded alike: four products are one instruction. Of six words of four numbers two are for
+# the largest; the basis is rounded alike: four products are one instruction. Of six uint32s of four numbers two are for
 # each of red, green and blue, or four for luminance, one for each difference (field/harmonics). CPUs read the grid's.
 
 import warp as wp
@@ -20,7 +20,7 @@ class RowTable:
     """A grid's rows as a march reads them."""
 
     columns: Columns
-    packed: wp.array2d(dtype=wp.uint32)  # (rows, words) on CUDA, else none
+    packed: wp.array2d(dtype=wp.uint32)  # (rows, 8) on CUDA, else none
     laid: wp.array(dtype=wp.float16)  # (nodes,) density of each node in units, 0 without a row; on CUDA, else none
     unit: float  # of laid densities
 

@@ -65,7 +65,7 @@ def picture_pixel(pictures: Pictures, view: int, row: int, column: int):
 
 ROUNDS = wp.constant(4)
 
-#: Factors of the finaliser, and 2^32 over the golden ratio, which tells the rounds apart.
+#: Factors of the finaliser, and 2^32 over the golden ratio, which separates the rounds.
 FIRST_FACTOR = wp.constant(wp.uint32(0x85EBCA6B))
 
 SECOND_FACTOR = wp.constant(wp.uint32(0xC2B2AE35))

@@ -1,4 +1,4 @@
-"""How the colours of rays change with their camera: what a fit refines cameras by."""
+"""Derivatives of the colours of rays by their camera's numbers, by which a fit refines cameras."""
 
 # Forward-mode derivatives of the march (Max 1995; BARF, Lin et al. 2021; NeRF--, Wang et al. 2021). With
 # x_k = o + t_k d, optical depth s_k = sigma_k dt and A_k = sum_{j<k} ds_j, a ray's C = sum_k w_k c_k + T B changes by
@@ -202,7 +202,7 @@ def measure_camera_slopes(
 
 @wp.func
 def exposure_sum(records: wp.array2d(dtype=wp.vec3), n: int, number: int):
-    """A ray's part of one of the fifteen sums that tell its picture's exposure.
+    """A ray's part of one of the fifteen sums for its picture's exposure.
     Of each channel x x, x a, a a, x y, a y: x the field's colour, y the picture's, a the field's opacity."""
     channel = number // 5
     which = number % 5
@@ -220,7 +220,7 @@ def sum_camera_slopes(
 ):
     """sums: (runs, 51) over each run of rays, all of one camera. One item per sum. records: (runs * run, 11).
     The upper triangle of J^T J, row after row; J^T e; the fifteen of exposure_sum; e^T e."""
-    # Rays count by 1 / (1 + |e|^2 / outlier^2)^2 (Geman and McClure): what a field lacks yet tells nothing of cameras.
+    # Rays count by 1 / (1 + |e|^2 / outlier^2)^2 (Geman and McClure): what a field lacks yet says nothing of cameras.
     item = first + wp.tid()
     place = item // CAMERA_SUMS
     number = item % CAMERA_SUMS

@@ -1,4 +1,4 @@
-"""Splats that are almost nothing begin anew where there is something, and new ones are added there."""
+"""Dead (almost transparent) splats become copies of living ones, and new copies are added."""
 
 # Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo" (2024), Eq. 9: n copies at one place look like
 # the one splat of opacity o and scale s that was there if each has

@@ -313,7 +313,7 @@ def find_floors(
 
 @wp.func
 def wander(step: SplatStep, n: int, opacity: float, covariance: wp.mat33):
-    """How far splat n wanders: not at all unless it is almost nothing."""
+    """Random shift of the centre of splat n, zero unless it is almost transparent."""
     moved = wp.vec3()
     if step.noise > 0.0 and opacity < STILL_OPACITY:
         state = wp.rand_init(step.seed, n)

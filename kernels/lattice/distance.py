@@ -37,8 +37,8 @@ _Octants = wp.types.vector(length=8, dtype=float)
 CLEARANCE = wp.constant(6.0)
 
 
-#: Faces that share a word of bits.
-WORD_FACES = wp.constant(32)
+#: Faces that share a 32-bit mask.
+MASK_FACES = wp.constant(32)
 
 #: Room for rounding when faces are looked through for a group of blocks, cells.
 GROUP_SLACK = wp.constant(0.01)
@@ -83,18 +83,18 @@ def block_count(side: int):
 
 
 @wp.func
-def word_count(face_count: int):
-    """Words that have a bit for each face."""
-    return (face_count + WORD_FACES - 1) / WORD_FACES
+def mask_count(face_count: int):
+    """32-bit masks that have a bit for each face."""
+    return (face_count + MASK_FACES - 1) / MASK_FACES
 
 
 @wp.func
-def candidate_bits(candidates: wp.array2d(dtype=int), group: int, word: int, face_count: int):
-    """Which of the faces of a word a group's blocks look at: all where no group looked through them."""
+def candidate_bits(candidates: wp.array2d(dtype=int), group: int, mask: int, face_count: int):
+    """Which of the faces of a mask a group's blocks look at: all where no group looked through them."""
     if candidates.shape[0] > 0:
-        return candidates[group, word]
-    left = face_count - word * WORD_FACES
-    return wp.where(left < WORD_FACES, (1 << wp.min(left, WORD_FACES - 1)) - 1, -1)
+        return candidates[group, mask]
+    left = face_count - mask * MASK_FACES
+    return wp.where(left < MASK_FACES, (1 << wp.min(left, MASK_FACES - 1)) - 1, -1)
 
 
 @wp.kernel
@@ -119,12 +119,12 @@ def find_candidates(
     group_side: int,
     candidates: wp.array2d(dtype=int),
 ):
-    """candidates (groups, words): bit b of word w is set where face 32 w + b may come within CLEARANCE cells of a block
-    of the group, which are group_side blocks along each axis. One group of lanes per word, one lane per face."""
+    """candidates (groups, masks): bit b of mask m is set where face 32 m + b may come within CLEARANCE cells of a block
+    of the group, which are group_side blocks along each axis. One group of lanes per mask, one lane per face."""
     piece, lane, lanes = lane_place(first + wp.tid())
-    words = word_count(boxes.shape[0])
-    word = piece % words
-    group = piece / words
+    masks = mask_count(boxes.shape[0])
+    mask = piece % masks
+    group = piece / masks
     shape = shapes[0]
     ny = (block_count(shape[1]) + group_side - 1) / group_side
     nz = (block_count(shape[2]) + group_side - 1) / group_side
@@ -137,13 +137,13 @@ def find_candidates(
     half = wp.vec3(1.0, 1.0, 1.0) * (0.5 * float(BLOCK * (group_side - 1)))
     reach = CLEARANCE + HALF_DIAGONAL + GROUP_SLACK
     bits = int(0)
-    for bit in range(lane, WORD_FACES, lanes):
-        f = word * WORD_FACES + bit
+    for bit in range(lane, MASK_FACES, lanes):
+        f = mask * MASK_FACES + bit
         if f < boxes.shape[0] and box_gap_squared(center, boxes[f, 0] - half, boxes[f, 1] + half) <= reach * reach:
             bits = bits | (1 << bit)
     bits = union_of_lanes(bits)
     if lane == 0:
-        candidates[group, word] = bits
+        candidates[group, mask] = bits
 
 
 @wp.func
@@ -169,10 +169,10 @@ def clear_octant_bits(
     for octant in range(lane, 8, lanes):
         apart[octant] = (CLEARANCE + OCTANT_DIAGONAL) * (CLEARANCE + OCTANT_DIAGONAL)
     reach = CLEARANCE + HALF_DIAGONAL
-    for word in range(word_count(faces.shape[0])):
-        bits = candidate_bits(candidates, group, word, faces.shape[0])
-        for bit in range(lane, wp.where(bits == 0, 0, WORD_FACES), lanes):
-            f = word * WORD_FACES + bit
+    for mask in range(mask_count(faces.shape[0])):
+        bits = candidate_bits(candidates, group, mask, faces.shape[0])
+        for bit in range(lane, wp.where(bits == 0, 0, MASK_FACES), lanes):
+            f = mask * MASK_FACES + bit
             is_near = int(0)
             if (bits >> bit) & 1 == 1:
                 is_near = wp.where(face_gap_squared(center, f, boxes, vertices, faces) < reach * reach, 1, 0)
@@ -225,10 +225,10 @@ def list_block_faces(
     reach = BAND + HALF_DIAGONAL
     nearest = (CLEARANCE + HALF_DIAGONAL) * (CLEARANCE + HALF_DIAGONAL)
     count = int(0)
-    for word in range(word_count(faces.shape[0])):
-        bits = candidate_bits(candidates, group, word, faces.shape[0])
-        for bit in range(lane, wp.where(bits == 0, 0, WORD_FACES), lanes):
-            f = word * WORD_FACES + bit
+    for mask in range(mask_count(faces.shape[0])):
+        bits = candidate_bits(candidates, group, mask, faces.shape[0])
+        for bit in range(lane, wp.where(bits == 0, 0, MASK_FACES), lanes):
+            f = mask * MASK_FACES + bit
             is_near = int(0)
             if (bits >> bit) & 1 == 1:
                 if face_gap_squared(center, f, boxes, vertices, faces) <= wp.max(nearest, reach * reach):

@@ -31,7 +31,7 @@ class LaplaceSystem:
     levels: NodeLevels
     rows: CutRows
     sources: wp.array(dtype=wp.vec3)  # (rows of level 0,)
-    loads: wp.array(dtype=wp.vec3)  # (nodes of levels 1 and up,) right-hand side of the correction
+    loads: wp.array(dtype=wp.vec3)  # (nodes of levels 1 and up,) loads of the equations of the correction
     values: wp.array(dtype=wp.vec3)  # (nodes of all levels,) solution on level 0, corrections above
 
 

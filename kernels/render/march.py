@@ -37,7 +37,7 @@ from .rays import (
     RayState,
     forward_only_radiance,
 )
-from .volume import CARRIED_LAYER, PLAIN_LAYER, ShadedVolume, laid_shade
+from .volume import CARRIED_LAYER, PLAIN_LAYER, ShadedVolume, shaded_value
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -64,8 +64,8 @@ def empty_at(grid: VoxelGrid, g: wp.vec3):
 
 @wp.func
 def matter_at(table: RowTable, grid: VoxelGrid, g: wp.vec3, layer: int, step: float):
-    """Color, if it comes with the rest, and optical depth of a step at node coordinates g; 0 where there is nothing.
-    layer: of deform/shaded_volume."""
+    """Color, where the table holds it, and optical depth of a step at node coordinates g; 0 where there is nothing.
+    layer: of render/volume."""
     i = int(wp.floor(g[0]))
     j = int(wp.floor(g[1]))
     k = int(wp.floor(g[2]))
@@ -83,13 +83,13 @@ def matter_at(table: ShadedVolume, grid: VoxelGrid, g: wp.vec3, layer: int, step
     low = g[0] >= 0.0 and g[1] >= 0.0 and g[2] >= 0.0
     if not (low and g[0] < table.cells[0] and g[1] < table.cells[1] and g[2] < table.cells[2]):
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    return laid_shade(table, g, layer)
+    return shaded_value(table, g, layer)
 
 
 @wp.func
 def matter_color(table: RowTable, grid: VoxelGrid, g: wp.vec3, slope: wp.vec3, direction: wp.vec3):
-    """Colour before the clamp at zero, at node coordinates g, seen along `slope`, or `direction` where that is nought.
-    Neither has a length of its own."""
+    """Colour before the clamp at zero, at node coordinates g, seen along `slope`, or `direction` where that is zero;
+    both of any length."""
     length = wp.length(slope)
     along = wp.where(length > 1.0e-6, slope / length, wp.normalize(direction))
     i = int(wp.floor(g[0]))
@@ -101,13 +101,13 @@ def matter_color(table: RowTable, grid: VoxelGrid, g: wp.vec3, slope: wp.vec3, d
 
 @wp.func
 def sample_after(k: float):
-    """The next sample; from 2^24 on the next one that float32 has, so that a march through a cage far away ends."""
+    """The next sample; from 2^24 on the next float32, so that a march through a cage far away ends."""
     return k + wp.max(1.0, 6.0e-8 * k)
 
 
 @wp.struct
 class EditLine:
-    """What a march knows of a ray: in fine cells, so many per unit of distance, and where boxes are on it."""
+    """A ray in fine cells per unit of distance, and the distances of boxes on it."""
 
     start: wp.vec3
     rate: wp.vec3
@@ -124,7 +124,7 @@ NOWHERE = wp.constant(-2)
 
 @wp.struct
 class LatticePlace:
-    """Where a sample is in an edit's lattice, and what is known of that."""
+    """Where a sample is in an edit's lattice, and the entry of its fine cell."""
 
     n: int  # node below it; NO_LATTICE or NOWHERE
     fine: wp.vec3  # in fine cells
@@ -137,12 +137,12 @@ class RaySample:
 
     k: float  # the sample
     j: float  # how much of it is done
-    share: float  # how much of it this part stands for, 1 for one that is not cut; less than 0: it was not foreseen
+    share: float  # of it that this part stands for, 1 for one that is not cut; below 0: not known before
 
 
 @wp.struct
 class MarchedRay:
-    """How far a march has come along a ray, and what it saw."""
+    """How far a march has followed a ray, and what it gathered."""
 
     seen: DeformedRadiance
     pending: float
@@ -186,14 +186,14 @@ def node_place(edit: EditData, at: LatticePlace, f: wp.vec3, rate: wp.vec3, plac
     return place
 
 
-# Registers are short. What a branch sets is a variable of the whole kernel to Warp, and kept from round to round: so
-# functions below return early, or set numbers of a struct. What a launch knows is a number of its structs rather than
-# worked out before the loop, and exact roots and quotients are calls, around which more is kept.
+# Registers are short. Warp keeps a variable that a branch sets for the whole kernel, from round to round: so functions
+# below return early, or set members of a struct. What a launch knows is a member of its structs rather than computed
+# before the loop, and exact roots and quotients are calls, around which more registers are kept.
 
 
 @wp.func
 def edit_line(edit: EditData, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
-    """A ray as a march through an edit knows it."""
+    """A ray in a march through one edit."""
     line = EditLine()
     line.start = (origin - edit.lower) * edit.inverse_fine_size
     line.rate = direction * edit.inverse_fine_size
@@ -275,7 +275,8 @@ def is_empty(at: LatticePlace):
 
 @wp.func
 def distance_to_rest(edit: EditData, place: MappedPlace, look: int):
-    """Signed distance of a sample to the rest cage; a number of that sign where its fine cell knows, or nobody asks."""
+    """Signed distance of a sample to the rest cage; any number of that sign where its fine cell decides, or where it is
+    not used."""
     if (look & CELL_STAYS) != 0 and (place.mapped == 1 or (look & CELL_OUTSIDE) != 0):
         return float(-1.0e30)
     if place.mapped == 0 and edit.keeps_source == 1:
@@ -284,8 +285,8 @@ def distance_to_rest(edit: EditData, place: MappedPlace, look: int):
 
 
 @wp.func
-def shade_layer(edit: EditData, mapped: int, distance: float):
-    """The layer of shades that a sample reads: what goes with a pose is in one of them only."""
+def color_layer(edit: EditData, mapped: int, distance: float):
+    """The layer of colours that a sample reads: matter that moves with a pose is in one of them only."""
     if mapped == 1 or distance <= edit.carried_below:
         return CARRIED_LAYER
     return PLAIN_LAYER
@@ -365,7 +366,7 @@ class FoundMatter:
 
 @wp.func
 def with_color(table: RowTable, grid: VoxelGrid, line: EditLine, found: FoundMatter, ray: MarchedRay, weight: float):
-    """A ray with the colour of a sample, which waits for the next one's until they weigh enough together."""
+    """A ray with the colour of a sample; light samples are looked up together with the next one."""
     ray.pending += weight
     if ray.pending > PENDING_WEIGHT:
         color = matter_color(table, grid, found.g, found.slope, line.rate)
@@ -473,7 +474,7 @@ def make_edit_march(has_sides: bool) -> Any:
         found.slope = point.slope
         found.distance = distance_to_rest(edit, point, at.look)
         found.g = grid_position(grid, point.position)
-        found.matter = matter_at(table, grid, found.g, shade_layer(edit, point.mapped, found.distance), step)
+        found.matter = matter_at(table, grid, found.g, color_layer(edit, point.mapped, found.distance), step)
         return found
 
     @wp.func
@@ -502,7 +503,7 @@ def make_edit_march(has_sides: bool) -> Any:
             ray.sample.share = wp.abs(ray.sample.share)
             after = next_sample(edit, grid, options, line, ray.sample, at, t)
             found = found_matter(edit, grid, table, line, at, options.step)
-            # a GPU waits for what it reads: so the next place is asked for before this matter is
+            # a GPU waits for what it reads: so the next place is read before this matter
             foreseen = lattice_place(edit, grid, line, sample_distance(after, options.step))
             ray = gather_matter(edit, grid, table, options, line, ray, after, at, found, t)
             t = sample_distance(ray.sample, options.step)

@@ -69,7 +69,7 @@ def empty_reach_of_grid(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, t:
 @wp.func
 def empty_until(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, t: float):
     """Distance along a ray from t on up to which the deformed scene is certainly empty; t where it may hold matter."""
-    # The last edit whose box holds the point decides, as its `skip` knows what is beneath; else the grid does.
+    # The last edit whose box holds the point decides, as its `skip` counts what is beneath; else the grid does.
     x = origin + t * direction
     limit = float(1.0e30)
     reach = float(-1.0)

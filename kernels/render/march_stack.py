@@ -74,7 +74,7 @@ def lattice_place(edit: EditData, x: wp.vec3):
 
 @wp.struct
 class TracedPoint:
-    """What all edits say of a point: edits/trace.CanonicalPoint."""
+    """A point under all edits, as edits/trace.CanonicalPoint."""
 
     position: wp.vec3
     path: int  # bit e is set where edit e mapped the point
@@ -82,7 +82,7 @@ class TracedPoint:
     vacant: int
     outside: int
     flags: int
-    offset: wp.vec3  # in the cell of the last edit that was asked before one mapped the point, or of that one
+    offset: wp.vec3  # in the cell of the last edit looked up before one mapped the point, or of that one
     room: float  # around the point, in which that edit's cell maps all or nothing, and nothing out of the rest cage
 
 
@@ -102,22 +102,22 @@ class RayPart:
     """A stretch of a ray that begins at a sample, in which it enters and leaves no box of an edit."""
 
     holder: int  # the last edit whose posed box holds it, -1 for none
-    asked: int  # bit e: the posed or the rest box of edit e holds it, or edit e has fragments
+    candidates: int  # bit e: the posed or the rest box of edit e holds it, or edit e has fragments
     end: float
 
 
 @wp.func
 def may_jump(part: RayPart, point: TracedPoint):
-    """Whether the last edit whose box holds a stretch of a ray says alone where the points around one are seen."""
+    """Whether the last edit whose box holds a stretch of a ray decides alone where the points around one are seen."""
     if point.path == 0:
-        return part.asked == 1 << part.holder
+        return part.candidates == 1 << part.holder
     return point.path == 1 << part.holder and (point.flags & (CELL_ALONE + CELL_STEEP)) == CELL_ALONE
 
 
 @functools.cache
 def make_trace(is_simple: bool) -> Any:
     """Functions that follow a point through the edits: its position, and the derivative of that.
-    Simple edits have no fragments and no sides of narrow gaps: a march that never asks keeps fewer registers."""
+    Simple edits have no fragments and no sides of narrow gaps: a march without them keeps fewer registers."""
 
     @wp.func
     def side_entry(edit: EditData, cell: int):
@@ -130,7 +130,7 @@ def make_trace(is_simple: bool) -> Any:
 
     @wp.func
     def mapped_position(edit: EditData, entry: int, offset: wp.vec3, node: wp.vec4):
-        """Where a place in a cell, whose corners alone say `node`, is mapped to."""
+        """Where a place in a cell is mapped to; node: the value that its corners alone give."""
         position = wp.vec3(node[0], node[1], node[2])
         if wp.static(not is_simple):
             if entry != 0:
@@ -154,15 +154,15 @@ def make_trace(is_simple: bool) -> Any:
             return in_fragments(edit.fragments, x)
 
     @wp.func
-    def trace_stack(edits: wp.array(dtype=EditData), asked: int, x: wp.vec3):
-        """Trace a point to canonical space as edits/trace.traced_point does. Bit e of `asked`: edit e may have it in
-        its posed cage or in its rest cage; where an edit maps it to, the ones before are asked in any case."""
+    def trace_stack(edits: wp.array(dtype=EditData), candidates: int, x: wp.vec3):
+        """Trace a point to canonical space as edits/trace.traced_point does. candidates: bit e is set where edit e may
+        have it in its posed or its rest cage; the edits before one that maps it are looked up in any case."""
         result = TracedPoint()
         result.room = float(1.0e30)
         position = x
         e = int(edits.shape[0]) - 1
         while e >= 0 and result.vacant == 0:
-            if result.path != 0 or (asked & (1 << e)) != 0:
+            if result.path != 0 or (candidates & (1 << e)) != 0:
                 edit = edits[e]
                 mapped = bool(False)
                 alone = bool(False)
@@ -293,14 +293,14 @@ def make_spans(is_simple: bool) -> Any:
                     span = rest_span(edit, origin, direction)
                 if (box == 0 or edit.keeps_source == 0) and span[0] < span[1] and t < span[1]:
                     if t >= span[0]:
-                        part.asked = part.asked | (1 << e)
+                        part.candidates = part.candidates | (1 << e)
                         part.end = wp.min(part.end, span[1])
                         if box == 0:
                             part.holder = e
                     else:
                         part.end = wp.min(part.end, span[0])
             if has_fragments(edit):
-                part.asked = part.asked | (1 << e)
+                part.candidates = part.candidates | (1 << e)
         part.end = forward_only(part.end, origin)
         return part
 
@@ -369,7 +369,7 @@ def make_stack_march(is_simple: bool) -> Any:
                 j = int(0)
                 t = (float(k) + 0.5) * step
                 continue
-            point = trace_stack(edits, part.asked, x)
+            point = trace_stack(edits, part.candidates, x)
             # each function of the map stands once in this loop: registers are short
             g = grid_position(grid, point.position)
             gi = int(wp.floor(g[0]))

@@ -1,4 +1,4 @@
-"""What pixels of a posed scene show: where it is at rest, which edit moved it, and where another view shows it."""
+"""The matter that pixels of a posed scene show: its place at rest, its edit, and its place in another view."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3))
 
-#: A closed form is taken to turn hardly over this share of the cage's size.
+#: Difference for the Jacobian of a closed form, as a share of the cage's size.
 EXACT_CELL = wp.constant(1.0 / 64.0)
 
 
@@ -33,7 +33,7 @@ class MovedCage:
 
 @wp.func
 def nowhere():
-    """A place that is none."""
+    """No place: NaN."""
     return wp.vec3(wp.nan, wp.nan, wp.nan)
 
 

@@ -16,7 +16,7 @@ MAX_SUB_SAMPLES = wp.constant(16)
 #: Samples that weigh less than this are not examined for folds: an 8-bit image does not show them.
 FOLD_MIN_WEIGHT = wp.constant(1.0 / 255.0)
 
-#: Nothing more is revealed behind cleared matter that would have let less light than this through.
+#: Matter behind cleared matter that lets less light than this through is not counted as revealed.
 FAINT = wp.constant(1.0e-3)
 
 
@@ -45,7 +45,7 @@ class DeformedRadiance:
 
 @wp.struct
 class Picture:
-    """Where a view goes, (h * w,) each; the masks are those of DeformedRadiance."""
+    """The arrays of a view, (h * w,) each; the masks are those of DeformedRadiance."""
 
     rgb: wp.array(dtype=wp.vec3)
     alpha: wp.array(dtype=wp.float32)
@@ -58,7 +58,7 @@ class Picture:
 
 @wp.func
 def fill_pixel(picture: Picture, pixel: int, seen: DeformedRadiance, background: wp.vec3):
-    """Write what a march saw to a pixel."""
+    """Write what a march gathered to a pixel."""
     picture.rgb[pixel] = seen.color + seen.transmittance * background
     opacity = 1.0 - seen.transmittance
     picture.alpha[pixel] = opacity
@@ -71,7 +71,7 @@ def fill_pixel(picture: Picture, pixel: int, seen: DeformedRadiance, background:
 #: Beyond the end of any ray.
 RAY_END = wp.constant(1.0e30)
 
-#: What a ray that was begun has reached at least.
+#: Smallest distance that a ray has reached once it was begun.
 BEGUN = wp.constant(1.0e-30)
 
 
@@ -86,7 +86,7 @@ class RayState:
 
 @wp.struct
 class ScenePart:
-    """A part of the scene that a march takes: from where the ones before it ended up to where a ray leaves a box."""
+    """A part of the scene for one march: from where the ones before it ended up to where a ray leaves a box."""
 
     lower: wp.vec3  # corners of the box
     upper: wp.vec3
@@ -124,7 +124,7 @@ def ray_start():
 
 @wp.func
 def finished(state: RayState):
-    """What a ray has seen that has come to its end."""
+    """What a finished ray has gathered."""
     seen = state.seen
     seen.color += pending_color(seen.color, seen.transmittance, state.pending)
     return seen
@@ -132,7 +132,7 @@ def finished(state: RayState):
 
 @wp.func
 def part_end(part: ScenePart, origin: wp.vec3, direction: wp.vec3):
-    """Distance at which a part of the scene ends for a ray; 0 for one that has nothing to do with it."""
+    """Distance at which a part of the scene ends for a ray; 0 for a ray that misses it."""
     # As view/rays.box_span, but without branches, as a march needs all registers: rays along a face may miss or not.
     end = float(RAY_END)
     if part.is_last == 0:

@@ -1,7 +1,7 @@
-"""Samples of a posed field of any representation: where they lie on rays, what a pose makes of them, their picture."""
+"""Samples of a posed field of any representation: their places on rays, their densities in a pose, their picture."""
 
 # The packed samples of Li et al., "NerfAcc" (ICCV 2023): those of a ray follow each other, and rays have as many as
-# they need. Between the kernels the field itself is asked, by whatever its representation brings along.
+# they need. Between the kernels the field itself is sampled, by its own function.
 
 import warp as wp
 

@@ -1,15 +1,14 @@
-"""What a camera sees of each voxel of a field that edits deform, evaluated once per view: its colour towards the camera
-and its optical depth."""
+"""Shading of the voxels of a field that edits deform, once per view: colours towards the camera and optical depths."""
 
 import warp as wp
 
 from ..core.gradients import forward_only_in
 from ..core.lanes import ballot
 from ..edits.nodes import node_blend, node_slope, side_slope
+from ..field.colors import ShadedGrid, own_row, row_place, shade_color
 from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
-from ..field.shades import ShadedGrid, own_row, row_place, shade_color
-from .volume import CARRIED_LAYER, PLAIN_LAYER, SHADE_LAYERS, ShadedVolume, write_shaded_volume
+from .volume import CARRIED_LAYER, COLOR_LAYERS, PLAIN_LAYER, ShadedVolume, write_shaded_volume
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -27,7 +26,7 @@ class ViewDirectionCage:
     inverse_spacing: float
     node_counts: wp.vec3i
     distance: wp.array(dtype=float)  # (nodes,) signed distance to the rest cage
-    places: wp.array(dtype=wp.vec4)  # (nodes,) where the pose takes each, of deform/inverse_map
+    places: wp.array(dtype=wp.vec4)  # (nodes,) where the pose takes each, of edits/inverse
     aims: wp.array(dtype=wp.vec4)  # (nodes,) canonical view direction or 0, and signed distance to the rest cage
     depth: float  # rows up to so deep in the rest cage are read by samples of both layers
     height: float  # and those up to so far out of it
@@ -107,7 +106,7 @@ def aim_at(cage: ViewDirectionCage, g: wp.vec3):
 
 @wp.func
 def row_view(cages: wp.array(dtype=ViewDirectionCage), x: wp.vec3, plain: wp.vec3):
-    """How a row at x is seen: as the pose has it of the rest cage that it is in, else from `plain`."""
+    """How a row at x is seen: by the pose of the rest cage that it is in, else from `plain`."""
     seen = RowView()
     seen.along = plain
     seen.is_plain = int(1)
@@ -134,7 +133,7 @@ def row_view(cages: wp.array(dtype=ViewDirectionCage), x: wp.vec3, plain: wp.vec
 
 @wp.func
 def nearest_view(cages: wp.array(dtype=ViewDirectionCage), x: wp.vec3, plain: wp.vec3):
-    """How a row at x, not far out of a rest cage, would be seen if it went with it: as what lies just in the cage."""
+    """How a row at x, not far out of a rest cage, would be seen if it moved with what lies just in the cage."""
     along = plain
     least = float(1.0e30)
     for index in range(cages.shape[0]):
@@ -174,9 +173,9 @@ def shade_carried_rows(
     shaded: ShadedGrid,
     laid: ShadedVolume,
 ):
-    """Shades of rows as they are seen, in the layers of samples that may read them; of rows near a rest cage as samples
-    on either side of it see them, each in its layer. A thread per row, in whole warps."""
-    # nodes: (rows,); cages: (edits,) that do not meet; shaded: tells the camera and how long a step is
+    """Colors of rows, in the layers of samples that may read them; rows near a rest cage have a colour for samples on
+    either side of it, each in its layer. A thread per row, in whole warps."""
+    # nodes: (rows,); cages: (edits,) that do not meet; shaded: holds the camera and the length of a step
     item = first + wp.tid()
     n = wp.min(item, nodes.shape[0] - 1)
     row = own_row(shaded, n)
@@ -198,4 +197,4 @@ def shade_carried_rows(
         color = shade_color(grid.sh, row, sh_basis(along))
         if item < nodes.shape[0] and seen.is_wall == 1:
             shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
-            write_shaded_volume(laid, nodes[n], SHADE_LAYERS - 1 - own_layer, shade)
+            write_shaded_volume(laid, nodes[n], COLOR_LAYERS - 1 - own_layer, shade)

@@ -9,7 +9,7 @@ from ..view.rays import PinholeCamera, pixel_direction
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
-#: What a face has in place of a picture: the colours of its vertices, as they are or under a headlight.
+#: Values for a face without a picture: colours of its vertices as they are, or under a headlight.
 NO_PICTURE = wp.constant(-1)
 HEADLIGHT = wp.constant(-2)
 

@@ -27,16 +27,16 @@ from .rays import (
 )
 from .volume import ShadedVolume
 
-#: Measured (H200): parts and sides wait less with more registers.
+#: Register limits, measured on an H200: parts and sides wait less with more.
 MAX_REGISTERS = {
     "rows": 96,
     "rows+sides": 128,
     "rows+part": 128,
     "rows+sides+part": 128,
-    "shades": 80,
-    "shades+sides": 96,
-    "shades+part": 96,
-    "shades+sides+part": 96,
+    "shaded": 80,
+    "shaded+sides": 96,
+    "shaded+part": 96,
+    "shaded+sides+part": 96,
     "stack": 128,
     "stack+simple": 128,
     "exact": None,
@@ -44,7 +44,7 @@ MAX_REGISTERS = {
 
 
 def declaration(variant: str) -> dict[str, Any]:
-    """What wp.kernel takes beside the function of a variant."""
+    """The arguments of wp.kernel for a variant."""
     # small blocks: the rays of one block end at very different times
     module = variant_module(__name__, variant, block_dim=64)
     name = f"view_{variant.replace('+', '_')}"
@@ -52,8 +52,8 @@ def declaration(variant: str) -> dict[str, Any]:
 
 
 def view_name(shaded: bool, has_sides: bool, part: bool = False) -> str:
-    """The variant's name, such as "shades+part"."""
-    table = "shades" if shaded else "rows"
+    """The variant's name, such as "shaded+part"."""
+    table = "shaded" if shaded else "rows"
     return "+".join([table, *["sides"] * has_sides, *["part"] * part])
 
 

@@ -1,5 +1,5 @@
-"""What a camera sees of each voxel of a deformed field, laid out by nodes, so that a march reads what lies around a
-place at once."""
+"""Shaded voxels of a deformed field for one camera, laid out by nodes, so that a march reads all around a place at
+once."""
 
 import warp as wp
 
@@ -8,23 +8,23 @@ from ..core.texels import BLENDED_TEXEL, WRITE_HALF_TEXEL
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
-#: Layers of shades: as samples see rows that no map has led there, and as mapped ones do.
+#: Layers of colours: for samples that no map has moved, and for mapped ones.
 PLAIN_LAYER = wp.constant(0)
 
 CARRIED_LAYER = wp.constant(1)
 
-SHADE_LAYERS = wp.constant(2)
+COLOR_LAYERS = wp.constant(2)
 
 
 @wp.struct
 class ShadedVolume:
-    """Shades at the nodes of a grid, 0 where a node has no row."""
+    """Colors at the nodes of a grid, 0 where a node has no row."""
 
     node_counts: wp.vec3i
     cells: wp.vec3  # node_counts less 1
     texture: wp.uint64  # of four halves: axis 2 of the grid, axis 1, and axis 0 of one layer after the other
     surface: wp.uint64  # the same, to be written
-    shades: wp.array(dtype=wp.vec4)  # (layers * nodes,) on a CPU
+    colors: wp.array(dtype=wp.vec4)  # (layers * nodes,) on a CPU
 
 
 @forward.func_native(
@@ -37,7 +37,7 @@ class ShadedVolume:
     + WRITE_HALF_TEXEL
     + """#else
     const float limit = 65504.0f;
-    float* shade = laid.shades.data[(size_t)layer * laid.node_counts.c[0] * ny * nz + node].c;
+    float* shade = laid.colors.data[(size_t)layer * laid.node_counts.c[0] * ny * nz + node].c;
     for (int i = 0; i < 4; ++i)  // also of what is no number
         shade[i] = value.c[i] > limit ? limit : (value.c[i] >= -limit ? value.c[i] : -limit);
 #endif
@@ -62,7 +62,7 @@ def write_shaded_volume(laid: ShadedVolume, node: wp.int32, layer: wp.int32, val
     const int ny = laid.node_counts.c[1], nz = laid.node_counts.c[2];
     const int i = (int)at.c[0], j = (int)at.c[1], k = (int)at.c[2];
     const float x = at.c[0] - (float)i, y = at.c[1] - (float)j, z = at.c[2] - (float)k;
-    const four* low = reinterpret_cast<const four*>(laid.shades.data)
+    const four* low = reinterpret_cast<const four*>(laid.colors.data)
         + ((size_t)(layer * laid.node_counts.c[0] + i) * ny + j) * nz + k;
     const four* high = low + (size_t)ny * nz;
     const four a = low[0] + z * (low[1] - low[0]), b = low[nz] + z * (low[nz + 1] - low[nz]);
@@ -72,6 +72,6 @@ def write_shaded_volume(laid: ShadedVolume, node: wp.int32, layer: wp.int32, val
 #endif
 """
 )
-def laid_shade(laid: ShadedVolume, at: wp.vec3, layer: wp.int32) -> wp.vec4:
-    """Trilinear shade at node coordinates that lie in a cell of the grid; the colour still lacks its 0.5."""
+def shaded_value(laid: ShadedVolume, at: wp.vec3, layer: wp.int32) -> wp.vec4:
+    """Trilinear value at node coordinates in a cell of the grid; the colour still lacks its 0.5."""
     ...

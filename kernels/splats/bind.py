@@ -119,7 +119,7 @@ def edge_terms(p: wp.vec3d, q: wp.vec3d, normal: wp.vec3d):
     terms.area = wp.dot(normal, wp.cross(p, terms.along))
     terms.area_slope = wp.cross(p - q, normal)  # d (p x q) = dx x (p - q), so that n . d (p x q) = ((p - q) x n) . dx
     both = r + s
-    # both^2 - edge^2 = 2 (r s + p . q), which next to the edge is better told by the cross product
+    # both^2 - edge^2 = 2 (r s + p . q), which next to the edge is more exact by the cross product
     cosine = wp.dot(p, q)
     low = r * s + cosine
     if cosine < wp.float64(0.0):

@@ -46,7 +46,7 @@ def step_adam(
 
 @wp.kernel
 def hold_below(first: int, most: float, begins: wp.array(dtype=wp.float32), values: wp.array(dtype=wp.float32)):
-    """Values that are more than `most` above where they began are set back to that. begins, values: (count,)."""
+    """Limit values (count,) to at most `most` above their first ones. begins, values: (count,)."""
     n = first + wp.tid()
     values[n] = wp.min(values[n], begins[n] + most)
 

@@ -4,7 +4,7 @@
 # need their digits. Gradients are halves over a scale of each point's own, 1/1024 of its largest: off by less than
 # 2^-11 of themselves, they neither overflow in cages with tiny faces nor vanish beside large ones. Four rows of 32
 # points lie together, 1280 bytes: of each row the weight and two numbers of the gradient in 64 bits, rows 0 and 1 of a
-# point side by side, then rows 2 and 3, at the end one word a point of the four third numbers.
+# point side by side, then rows 2 and 3, at the end one uint64 a point of the four third numbers.
 # Points (m,), rows (j, m), packed in groups (g,) of four, zeros behind the last row.
 
 import warp as wp
@@ -23,7 +23,7 @@ RowSums = wp.types.vector(length=12, dtype=wp.float32)
 
 @wp.struct
 class PackedRows:
-    words: wp.array3d(dtype=wp.uint64)  # (tiles of 32 points, g, 160) the groups, contiguous
+    groups: wp.array3d(dtype=wp.uint64)  # (tiles of 32 points, g, 160) the groups, contiguous
     scales: wp.array(dtype=float)  # (m,) what gradients are multiplied by
 
 
@@ -47,7 +47,7 @@ def pack_rows(first: int, begin: int, rows: wp.array2d(dtype=wp.vec4), packed: P
     inverse = 1.0 / scale
     packed.scales[m] = scale
     tile, lane = m // 32, m % 32
-    for group in range(packed.words.shape[1]):
+    for group in range(packed.groups.shape[1]):
         tail = wp.uint64(0)
         for k in range(4):
             j = 4 * group + k
@@ -56,21 +56,21 @@ def pack_rows(first: int, begin: int, rows: wp.array2d(dtype=wp.vec4), packed: P
                 row = rows[j, item]
             head = wp.uint64(wp.cast(row[0], wp.uint32))
             head = head | (half_bits(inverse * row[1]) << wp.uint64(32))
-            packed.words[tile, group, 64 * (k // 2) + 2 * lane + k % 2] = head | (
+            packed.groups[tile, group, 64 * (k // 2) + 2 * lane + k % 2] = head | (
                 half_bits(inverse * row[2]) << wp.uint64(48)
             )
             tail = tail | (half_bits(inverse * row[3]) << wp.uint64(16 * k))
-        packed.words[tile, group, 128 + lane] = tail
+        packed.groups[tile, group, 128 + lane] = tail
 
 
 @forward.func_native(
     """
     struct Group
     {
-        wp::uint64 words[5];
+        wp::uint64 groups[5];
     };
-    const int last = words.shape[1] - 1;
-    const wp::uint64* rows = words.data + (size_t)(m >> 5) * (size_t)words.shape[1] * 160;
+    const int last = groups.shape[1] - 1;
+    const wp::uint64* rows = groups.data + (size_t)(m >> 5) * (size_t)groups.shape[1] * 160;
     const int lane = m & 31;
     const float* target = reinterpret_cast<const float*>(targets.data + begin);
     wp::vec_t<12, float> sums;
@@ -80,15 +80,15 @@ def pack_rows(first: int, begin: int, rows: wp.array2d(dtype=wp.vec4), packed: P
 #if defined(__CUDA_ARCH__)
         const ulonglong2 low = __ldg(reinterpret_cast<const ulonglong2*>(at) + lane);
         const ulonglong2 high = __ldg(reinterpret_cast<const ulonglong2*>(at) + 32 + lane);
-        found.words[0] = low.x;
-        found.words[1] = low.y;
-        found.words[2] = high.x;
-        found.words[3] = high.y;
-        found.words[4] = __ldg(reinterpret_cast<const unsigned long long*>(at) + 128 + lane);
+        found.groups[0] = low.x;
+        found.groups[1] = low.y;
+        found.groups[2] = high.x;
+        found.groups[3] = high.y;
+        found.groups[4] = __ldg(reinterpret_cast<const unsigned long long*>(at) + 128 + lane);
 #else
         for (int k = 0; k < 4; ++k)
-            found.words[k] = at[64 * (k / 2) + 2 * lane + k % 2];
-        found.words[4] = at[128 + lane];
+            found.groups[k] = at[64 * (k / 2) + 2 * lane + k % 2];
+        found.groups[4] = at[128 + lane];
 #endif
         return found;
     };
@@ -101,8 +101,8 @@ def pack_rows(first: int, begin: int, rows: wp.array2d(dtype=wp.vec4), packed: P
                 unsigned bits;
                 float value;
             } weight;
-            weight.bits = (unsigned)group.words[k];
-            const wp::uint64 numbers[3] = {group.words[k] >> 32, group.words[k] >> 48, group.words[4] >> (16 * k)};
+            weight.bits = (unsigned)group.groups[k];
+            const wp::uint64 numbers[3] = {group.groups[k] >> 32, group.groups[k] >> 48, group.groups[4] >> (16 * k)};
             float slopes[3];
             #pragma unroll
             for (int c = 0; c < 3; ++c)
@@ -134,7 +134,7 @@ def pack_rows(first: int, begin: int, rows: wp.array2d(dtype=wp.vec4), packed: P
     """
 )
 def sum_rows(
-    m: wp.int32, words: wp.array3d(dtype=wp.uint64), targets: wp.array(dtype=wp.vec3), begin: wp.int32
+    m: wp.int32, groups: wp.array3d(dtype=wp.uint64), targets: wp.array(dtype=wp.vec3), begin: wp.int32
 ) -> RowSums:
     """Sums over the rows of point m. Two groups are on their way by turns: one is loaded while the other is summed up.
     The second of the last pair may be behind the last group; then it is that one again, of targets that are zeros."""
@@ -158,7 +158,7 @@ def carry_packed(
 ):
     """What `carry_bound` of splats/pose does, of packed rows; behind the last row's, targets has zeros up to eight."""
     m = first + wp.tid()
-    sums = sum_rows(m, packed.words, targets, begin)
+    sums = sum_rows(m, packed.groups, targets, begin)
     moved = wp.vec3(sums[0], sums[1], sums[2])
     turned = wp.mat33(sums[3], sums[4], sums[5], sums[6], sums[7], sums[8], sums[9], sums[10], sums[11])
     anchor = anchors[m]

@@ -43,7 +43,7 @@ class Lens:
 
 @wp.func
 def rim_slope(slope: float, principal: float, focal: float, size: float):
-    """x / z (or y / z) of a centre, held near the picture."""
+    """x / z (or y / z) of a centre, clamped near the picture."""
     beyond = RIM * 0.5 * size / focal
     return wp.clamp(slope, -principal / focal - beyond, (size - principal) / focal + beyond)
 

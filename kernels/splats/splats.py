@@ -193,8 +193,8 @@ def cover_staying(
     upper: wp.vec3,
     carried: CarriedSplats,
 ):
-    """Let splats members (m,) that stay at rest give way to a posed cage, of the box lower, upper. A group of lanes
-    each. outside (m,): their shares outside the cage at rest, and what is left of each outside of the posed one."""
+    """Multiply the shares of splats members (m,), which stay at rest, by what of them is outside a posed cage with the
+    box lower, upper, or outside (m,), their shares outside the cage at rest, if less. A group of lanes each."""
     m, lane, _ = lane_place(first + wp.tid())
     n = members[m]
     left = outside[m]

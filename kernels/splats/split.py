@@ -1,4 +1,4 @@
-"""Which splats a pose bends so much that their pieces are drawn in their place."""
+"""Which splats a pose bends so much that their pieces are drawn instead."""
 
 import warp as wp
 

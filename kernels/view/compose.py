@@ -22,7 +22,7 @@ def compose_objects(
     rgb: wp.array(dtype=wp.vec3),
     alpha: wp.array(dtype=wp.float32),
     depth: wp.array(dtype=wp.float32),  # world units
-    around: wp.array(dtype=wp.float32),  # (h * w,), or empty where nobody asks for it
+    around: wp.array(dtype=wp.float32),  # (h * w,), or empty where it is not needed
     mask: wp.array2d(dtype=wp.float32),  # (names, h * w)
 ):
     """Put objects over each other before a colour; rgb, alpha and depth (h * w,). Masks are dimmed by what is before

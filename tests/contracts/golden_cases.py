@@ -29,9 +29,9 @@ from warpcage.fitting import load_progress, save_progress
 from warpcage.studio.cli import main
 from warpcage.studio.editor import read_session as session_document
 from warpcage.studio.editor import write_session as write_document
+from warpcage.studio.films.video import read_film_frame, write_film_frame
 from warpcage.studio.jobs.job_file import JobFile, write_jobs
 from warpcage.view import read_exr as exr_parts
-from warpcage.view import read_film_frame, write_film_frame
 from warpcage.view.camera_path import RefinedCameras
 
 DATA = pathlib.Path(__file__).parent.parent / "data"

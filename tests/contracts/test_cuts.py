@@ -13,7 +13,8 @@ import warpcage
 from warpcage import Camera, Scene, SplatField, SurfaceMesh, VoxelField
 from warpcage.field import LayeredBackground
 from warpcage.studio.cli import main
-from warpcage.view import linear_light, read_exr, read_image, write_film, write_jpeg, write_picture, write_png
+from warpcage.studio.films.video import write_film
+from warpcage.view import linear_light, read_exr, read_image, write_jpeg, write_picture, write_png
 
 
 def said(work):
@@ -233,7 +234,7 @@ def test_a_batch_says_it_once_a_worker(tmp_path):
     lines = [{"format": "warpcage jobs", "version": 1}, *({"id": f"f{k}", **view} for k in range(3))]
     (tmp_path / "jobs.jsonl").write_text("\n".join(map(json.dumps, lines)))
     (line,) = said(lambda: warpcage.run_jobs(tmp_path / "jobs.jsonl", tmp_path / "out", device="cpu"))
-    assert ".png: cut to what its format holds: " in line and line.endswith("others are not told of")
+    assert ".png: cut to what its format holds: " in line and line.endswith("others are not reported")
 
 
 def test_the_colors_of_an_mp4_are_those_that_it_names(tmp_path):

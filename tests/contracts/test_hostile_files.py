@@ -119,7 +119,7 @@ def test_arrays_that_nobody_asked_for_are_not_read(tmp_path, monkeypatch):
     assert "extra" in npz_names(path, "field file")
     _, contents = peak_of(lambda: field_files.load_field(path), 1 << 22)  # less than an eighth of the extra array
     np.testing.assert_array_equal(contents.density, density)
-    monkeypatch.setattr("warpcage.core.files.free_host_bytes", lambda: 1 << 21)
+    monkeypatch.setattr("warpcage.core.npz.free_host_bytes", lambda: 1 << 21)
     VoxelField.load(path, device="cpu")  # what is not read needs no memory
 
 

@@ -93,9 +93,9 @@ def test_names_behave_as_if_they_were_imported():
     for name in warpcage.__all__:
         item = getattr(warpcage, name)
         assert item is everything[name] is pickle.loads(pickle.dumps(item)) is vars(warpcage)[name]
-    rooms = [path.parent.name for path in pathlib.Path(warpcage.__file__).parent.glob("*/__init__.py")]
-    assert sorted(rooms) == sorted(warpcage._ROOMS)  # noqa: SLF001  (no public name lists the rooms)
-    assert all(getattr(warpcage, room).__name__ == f"warpcage.{room}" for room in rooms)
+    packages = [path.parent.name for path in pathlib.Path(warpcage.__file__).parent.glob("*/__init__.py")]
+    assert sorted(packages) == sorted(warpcage._PACKAGES)  # noqa: SLF001  (no public name lists them)
+    assert all(getattr(warpcage, package).__name__ == f"warpcage.{package}" for package in packages)
     with pytest.raises(AttributeError, match=MESSAGES["core.no_attribute"]):
         warpcage.Deformr  # noqa: B018
 

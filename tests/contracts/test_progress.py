@@ -13,7 +13,7 @@ from splat_scenes import scene_of, splats_in_box
 
 import warpcage
 from warpcage import Cage, Cancelled, Deformer
-from warpcage.view import write_film
+from warpcage.studio.films.video import write_film
 
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (50, 3))
 POSES = [BOX, BOX.bend(5), BOX.bend(10)]

@@ -65,7 +65,7 @@ def test_a_command_says_what_it_loads_where_it_is_asked(files, tmp_path, capsys)
         modules.loaded_places.clear()
         assert main([*words, "--verbose"]) == 0
     finally:
-        reports.show_log(reports.asked_level())
+        reports.show_log(reports.requested_level())
     loud = capsys.readouterr()
     assert quiet.err == "" and loud.out == quiet.out and quiet.out.count("\n") == 1
     assert "loads kernels on cpu: warpcage.kernels" in loud.err

@@ -37,7 +37,9 @@ def test_the_site_is_whole(tmp_path):
     for name in warpcage.__all__:
         assert any(re.fullmatch(rf"reference/\w+\.html#warpcage\.[\w.]+\.{name}", place) for place in places), name
     assert any(place.endswith("#warpcage.cage.cage.Cage.bend") for place in places)  # of its base
-    assert {f"docs/{name}.html" for name in docs} | {"index.html", "CHANGELOG.html", "CONTRIBUTING.html"} <= places
+    docs -= {"README"}
+    others = {"index.html", "docs/index.html", "CHANGELOG.html", "CONTRIBUTING.html"}
+    assert {f"docs/{name}.html" for name in docs} | others <= places
 
     # no page shows the marks of docstrings
     reference = {name: text for name, text in pages.items() if name.startswith("reference/")}
@@ -50,10 +52,13 @@ def test_the_site_is_whole(tmp_path):
         loaded += re.findall(r"<link[^>]*\brel=[\"']?(?:stylesheet|preconnect)[^>]*href=[\"']?(https?:[^\"' >]*)", text)
         assert not loaded, (name, loaded)
 
-    # every page of docs is in the navigation
+    # every page of docs is in the navigation, once
     home = pages["docs/splats.html"]
     tabs = re.findall(r'<li class="md-tabs__item.*?</li>', home, re.DOTALL)
     assert [re.sub("<.*?>", "", tab).strip() for tab in tabs] == [
-        "Start", "How to", "Explanation", "Reference", "Results", "Changelog"
-    ]  # fmt: skip
-    assert set(re.findall(r'href="([\w]+)\.html"', home)) >= docs - {"splats"}
+        *("Start", "Tutorials", "How-to guides", "Reference", "Explanation", "Notes", "Changelog")
+    ]
+    listed = re.findall(
+        r"^\| \[\w+\]\((\w+)\.md\)", (ROOT / "docs/README.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert sorted(listed) == sorted(docs) and set(re.findall(r'href="([\w]+)\.html"', home)) >= docs - {"splats"}

@@ -20,7 +20,7 @@ SCENE = wc.Scene(PICTURES, None, [CAMERA])
 SPLAT = (np.zeros((2, 3)), np.full((2, 3), -2.0), np.ones((2, 4)), np.zeros(2), np.zeros((2, 1, 3)))
 SPLATS = wc.SplatField(*SPLAT, device="cpu")
 DENSE = (np.full((6, 6, 6), 5.0), np.zeros((6, 6, 6, 9, 3)))
-YES_OR_NO = "antialias must be True or False, got "
+YES_OR_NO = "antialias must be true or false, got "
 
 
 def deformer(field):
@@ -88,7 +88,7 @@ WRONG = {
     "text as a field to cage": (lambda field: wc.Cage.from_field("lego.npz"), "a field is needed, .* got str"),
     "text as a field to select": (lambda field: wc.select_nodes("lego.npz"), "a field is needed, .* got str"),
     "text as a threshold": (lambda field: field.extract_mesh(threshold="1"), "a density, must be positive and finite"),
-    "text as a margin": (lambda field: wc.Cage.from_field(field, 40, margin="1"), "margin must be finite"),
+    "text as a margin": (lambda field: wc.Cage.from_field(field, 40, margin="1"), "margin must be a finite number"),
     "text as a share": (lambda field: wc.select_nodes(field, floaters="1"), "floaters must be one finite number"),
     "a number as a camera to select by": (lambda field: wc.select_nodes(field, cameras=3), "a list of cameras"),
     "a path as edits": (lambda field: wc.Deformer(field, "cage.obj"), "got str"),

@@ -190,7 +190,7 @@ def use_march(name, device, monkeypatch):
     if name not in marches_of(device):
         pytest.skip("rays of a tile go side by side on a CPU alone")
     monkeypatch.setattr(tables, "TILES_ON_CPU", name == "tiles")
-    monkeypatch.setattr(tables, "SHADES_ON_CPU", name == "shaded")
+    monkeypatch.setattr(tables, "SHADED_ON_CPU", name == "shaded")
     monkeypatch.setattr(tables, "NEAR_VOXELS", math.inf if name == "rows" else NEAR_VOXELS)
     return name
 

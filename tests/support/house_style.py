@@ -217,9 +217,9 @@ def patterns(file):
         name: each.value for each in file.body if isinstance(each, ast.Assign) for name in names_in(each.targets[0])
     }
     for test in file.body:
-        words = [word for word in ast.walk(test) if isinstance(word, ast.keyword) and word.arg == "match"]
-        places = [*words]
-        if any(names_in(word) for word in words):
+        matches = [each for each in ast.walk(test) if isinstance(each, ast.keyword) and each.arg == "match"]
+        places = [*matches]
+        if any(names_in(each) for each in matches):
             places += [test, *(tables[name] for name in names_in(test) & tables.keys())]
         yield from (pattern for place in places for pattern in strings(place))
 
@@ -240,7 +240,7 @@ def the_table_of_messages_is_in_order_and_used():
     used = re.compile(r"\bMESSAGES\[\"([\w.]+)\"\]")
     asked = {key for path in python_files(TESTS) if path != TABLE for key in used.findall(text(path))}
     yield from (f"{key} is in the table or used, and not both" for key in asked ^ set(keys))
-    yield from (f"{key} is not ROOM.NAME, or no pattern" for key in keys if not re.fullmatch(r"\w+\.\w+", key))
+    yield from (f"{key} is not PACKAGE.NAME, or no pattern" for key in keys if not re.fullmatch(r"\w+\.\w+", key))
     for pattern in MESSAGES.values():
         re.compile(pattern)
 
@@ -333,16 +333,16 @@ def tables_of_formats_are_whole():
 #: The paths that users copy from examples and docs: these do not move. A capital begins a class; others are functions.
 FIXED = """
 cage.pose_file: gltf_poses; cage.snap: snap_to_gaps; cage.walls: cut_faces; core.devices: launch resolve_device;
-core.files: atomic_path; core.locks: device_turn; core.names: meant; core.threads: cpu_threads limit_threads;
+core.files: atomic_path; core: device_turn; core.names: meant; core.threads: cpu_threads limit_threads;
 select.planes: Plane find_planes; fitting.evaluation: evaluate mean_psnr; mesh: MeshFormat write_shown_mesh;
 demo.brick_scene: write_brick_scene; demo.bricks: brick_model; demo.cage_scenes: CAGE_SCENES scene_field;
 demo.raycast: render_mesh_views; demo.viewpoints: reference_cameras spread_eyes; scene: SceneFormat View
 held_out make_scene; splats: SplatContents SplatFormat; studio.cli: main; studio.editor.demo: demo_files;
 studio.jobs.items: EvaluateItem FitItem FrameItem Item; studio.jobs.job_file: JobFile write_jobs; studio.jobs.run:
 run_jobs; studio.jobs.sweeps: GivenSource RandomSource write_sweep; studio.jobs.webdataset: read_shard shard_path;
-studio.jobs.worker: Worker; view.camera: Camera framing_orbit; view.exr: write_exr; view.film: write_film write_gif
-write_video; view.frame_parts: mask_picture; view.motion: pose_weights; view.opacity: rgba_picture; view.overlay:
-draw_cage; view.pictures: color_disparity contact_sheet disparity_range read_image to_uint8 write_png
+studio.films.motion: pose_weights; studio.films.video: write_film write_gif write_video; studio.jobs.worker: Worker;
+view.camera: Camera framing_orbit; view.exr: write_exr; view.frame_parts: mask_picture rgba_picture;
+view.overlay: draw_cage; view.pictures: color_disparity contact_sheet disparity_range read_image to_uint8 write_png
 """
 FIXED = {
     f"warpcage.{module}": names.split()
@@ -377,8 +377,8 @@ def paths_that_moved_are_found_with_a_warning():
                 warnings.simplefilter("always")
                 sys.modules.pop(old + module[len(new) :], None)
                 found = importlib.import_module(old + module[len(new) :])
-            told = any(f"is {module} now" in str(each.message) for each in said)
-            if found is not importlib.import_module(module) or not told:
+            warned = any(f"is {module} now" in str(each.message) for each in said)
+            if found is not importlib.import_module(module) or not warned:
                 yield old
 
 
@@ -403,7 +403,7 @@ def imports(text):
 
 
 def attributes(text):
-    """What is taken of `warpcage` by dots: "Cage", "view.film.write_film"."""
+    """What is taken of `warpcage` by dots: "Cage", "studio.films.video.write_film"."""
     try:
         tree = ast.parse(text)
     except SyntaxError:  # a part of a program, or none
@@ -447,7 +447,7 @@ def the_stub_tells_type_checkers_the_same_names():
             homes |= {each.name: node.module for each in node.names}
         elif isinstance(node, ast.Assign):
             exported = ast.literal_eval(node.value)
-    lazy = warpcage._HOMES  # noqa: SLF001  (no public name tells where each one comes from)
+    lazy = warpcage._HOMES  # noqa: SLF001  (no public name says where each one comes from)
     if homes != {name: module for module, names in lazy.items() for name in names}:
         yield "names come from other modules"
     if not exported == warpcage.__all__ == sorted(warpcage.__all__, key=lambda name: (name[0].islower(), name)):
@@ -484,7 +484,7 @@ def refusals(item, was):
     named = [name for name, kind, *_ in was["parameters"] if kind in NAMED and name not in needed]
     first = ["self"] if bound else []
     said = []
-    for follow in (True, False):  # what accepts old words may wrap a function that does not
+    for follow in (True, False):  # what accepts old names may wrap a function that does not
         signature = inspect.signature(function, follow_wrapped=follow)
         try:
             signature.bind(*first, *needed, **dict.fromkeys(named))
@@ -585,16 +585,8 @@ def asks_kind(test):
     )
 
 
-def guesses(node):
-    """Whether a branch, by the name of a kind of coordinates, has an `else` that is no further name."""
-    if not isinstance(node, ast.If | ast.IfExp) or not asks_kind(node.test) or not node.orelse:
-        return False
-    rest = node.orelse if isinstance(node.orelse, list) else [node.orelse]
-    return not (len(rest) == 1 and isinstance(rest[0], ast.If | ast.IfExp) and asks_kind(rest[0].test))
-
-
 @rule
-def no_else_takes_a_kind_of_coordinates_for_another():
-    """Where code asks `== "green"`, what is left over is no kind by name: a table of kinds (`chosen`) says it."""
+def no_code_asks_for_a_kind_of_coordinates_by_name():
+    """What differs between kinds is in their rows (coordinate_kinds.py)."""
     for path in python_files(PACKAGE, KERNELS):
-        yield from (f"{name_of(path)}:{node.lineno}" for node in nodes(path) if guesses(node))
+        yield from (f"{name_of(path)}:{node.lineno}" for node in nodes(path) if asks_kind(node))

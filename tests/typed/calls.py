@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from typing_extensions import assert_type
 
 import warpcage
-from warpcage import Cage, Deformer, Frame, Frames, PoseFile, SplatDeformer, SplatField, VoxelField
+from warpcage import Cage, Deformer, Frame, Frames, PoseFile, SplatField, VoxelField
 
 Kind = Literal["harmonic", "mean_value", "green"]
 
@@ -32,16 +32,16 @@ def fitted(folder: pathlib.Path) -> VoxelField:
 def posed(field: VoxelField, splats: SplatField, kind: Kind) -> VoxelField:
     cage = Cage.from_field(field, vertex_count=60, progress=follow)
     deformer = Deformer(field, cage, coordinates=kind, resolution=64, density="paper", store="map")
-    assert_type(deformer, Deformer)
-    assert_type(Deformer(splats, [cage, cage], map="backward"), SplatDeformer)  # mypy sees a Deformer
+    assert_type(deformer, Deformer[VoxelField])
+    assert_type(Deformer(splats, [cage, cage], map="backward"), Deformer[SplatField])
     deformer.pose(cage.twist(20))
     deformer.pose(np.zeros((8, 3), np.float32))
     deformer.pose([pathlib.Path("a.obj"), None])
-    assert_type(warpcage.bake(Deformer(splats, cage).pose(cage)), SplatField)  # mypy sees a VoxelField
+    assert_type(warpcage.bake(Deformer(splats, cage).pose(cage)), SplatField)
     return warpcage.bake(deformer, 64, progress=follow)
 
 
-def seen(deformer: Deformer, camera: warpcage.Camera) -> NDArray[np.float32]:
+def seen(deformer: Deformer[VoxelField], camera: warpcage.Camera) -> NDArray[np.float32]:
     frame = deformer.render(camera, background="transparent", supersampling=2)
     assert_type(frame, Frame)
     frame.save("bent.exr")

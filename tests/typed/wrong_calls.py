@@ -18,7 +18,7 @@ def calls(field: VoxelField, splats: SplatField, cage: Cage, scene: warpcage.Sce
     warpcage.fit(scene, representation="splats", resolution=256)  # wrong
     warpcage.fit(scene, representation="meshes")  # wrong
     warpcage.fit(scene, progress=5)  # wrong
-    warpcage.bake(Deformer(splats, cage)).node_weights()  # mypy sees a VoxelField  # wrong
+    warpcage.bake(Deformer(splats, cage)).node_weights()  # wrong
     warpcage.bake(field)  # wrong
     warpcage.render_film(field, "a.mp4", poses=5)  # wrong
     Cage.from_field(field, progress="yes")  # wrong

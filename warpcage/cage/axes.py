@@ -1,4 +1,4 @@
-"""Words for directions: world axes, a scene's up, a cage's own axes, and vectors."""
+"""Names of directions: world axes, a scene's up, a cage's own axes, and vectors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from .cage import Cage
 
-#: What the words may be.
+#: The names, for messages.
 AXIS_NAMES = "x, y, z, -x, up, long, middle, short, or a direction such as 0,0.2,1"
 
 _NAMED = re.compile("[-+]?([xyz]|up|long|middle|short)")
@@ -22,23 +22,23 @@ Axis = str | tuple[float, float, float]
 
 
 def is_axis(text: str) -> bool:
-    """Whether a text is a word for a direction."""
+    """Whether a text names a direction or is a vector."""
     return bool(_NAMED.fullmatch(text)) or _vector(text) is not None
 
 
 def with_up(text: str, up: Sequence[float] | None) -> str:
-    """A word of --posed ("twist:40:up"), or for a direction, with "up" as numbers; `up` (3,), None if nobody said."""
-    words = text.split(":")
-    if not {"up", "-up", "+up"} & set(words):
+    """The spec of a pose ("twist:40:up"), or a direction, with "up" as numbers; `up` (3,), None if it is unknown."""
+    parts = text.split(":")
+    if not {"up", "-up", "+up"} & set(parts):
         return text
     if up is None:
         raise InputError(f"{text!r} needs --up or --object: they say what is up")
 
-    def said(word: str) -> str:
-        sign = -1.0 if word[0] == "-" else 1.0
-        return ",".join(repr(sign * float(value)) for value in up) if word.lstrip("+-") == "up" else word
+    def resolved(part: str) -> str:
+        sign = -1.0 if part[0] == "-" else 1.0
+        return ",".join(repr(sign * float(value)) for value in up) if part.lstrip("+-") == "up" else part
 
-    return ":".join(map(said, words))
+    return ":".join(map(resolved, parts))
 
 
 def axis_of(text: str) -> Axis:
@@ -59,7 +59,7 @@ def default_towards(cage: Cage, axis: Axis) -> str:
 def _vector(text: str) -> tuple[float, float, float] | None:
     """Three finite numbers between commas, not all zero; None for other texts."""
     try:
-        x, y, z = (float(word) for word in text.split(","))
+        x, y, z = (float(number) for number in text.split(","))
     except ValueError:
         return None
     finite = all(abs(value) < float("inf") for value in (x, y, z))

@@ -33,8 +33,8 @@ from .up_axis import load_standing
 class Cage(PosableMesh):
     """A triangle mesh that encloses an object, or a part of it; immutable.
 
-    The constructor refuses only what cannot be held. It holds an open, inverted or tangled cage, so that `check` can
-    describe it and `repair` mend it. The coordinate functions and `Deformer` call `require_usable`, which refuses it.
+    The constructor takes open, inverted and self-intersecting meshes too, so that `check` can describe and `repair`
+    mend them. The coordinate functions and `Deformer` call `require_usable`, which refuses them.
 
     Args:
         vertices: (v, 3) finite floats in the scene's world units. They are kept as float64 in the order given.
@@ -131,7 +131,7 @@ class Cage(PosableMesh):
             largest_hole: Holes of up to this many edges are closed; at least 3.
 
         Returns:
-            The mended cage, and a line for each repair. Where nothing was, this cage and no lines.
+            The mended cage, and a line for each repair; this cage and no lines where nothing had to be repaired.
 
         Raises:
             ValueError: For a smaller `largest_hole`, or where no face is left.
@@ -289,7 +289,8 @@ class Cage(PosableMesh):
                 the smaller volume.
             symmetry: "x", "y" or "z", the normal of a plane through the middle of the mesh about which the cage is its
                 own mirror image ("voxel" only). None asks for no symmetry.
-            progress: True shows bars on stderr. A function is told (done, total, words) and ends the work by False.
+            progress: True shows bars on stderr. A function is called with (done, total, message) and cancels
+                the work by returning False.
 
         Returns:
             The cage.
@@ -299,7 +300,9 @@ class Cage(PosableMesh):
                 could be made.
             Cancelled: Where `progress` returned False.
         """
-        return cls(*cage_around_mesh(mesh, vertex_count, margin=margin, method=method, symmetry=symmetry))
+        return cls(
+            *cage_around_mesh(mesh, vertex_count, margin=margin, method=method, symmetry=symmetry, progress=progress)
+        )
 
     @classmethod
     @reports_progress
@@ -326,7 +329,8 @@ class Cage(PosableMesh):
                 recorded when the field was fitted, or the opacity across a voxel where there are none.
             method: "shell", "voxel" or "auto", as in `from_mesh`.
             symmetry: "x", "y", "z" or None, as in `from_mesh`.
-            progress: True shows bars on stderr. A function is told (done, total, words) and ends the work by False.
+            progress: True shows bars on stderr. A function is called with (done, total, message) and cancels
+                the work by returning False.
 
         Returns:
             The cage.
@@ -338,7 +342,13 @@ class Cage(PosableMesh):
         """
         return cls(
             *cage_around_field(
-                field, vertex_count, margin=margin, threshold=threshold, method=method, symmetry=symmetry
+                field,
+                vertex_count,
+                margin=margin,
+                threshold=threshold,
+                method=method,
+                symmetry=symmetry,
+                progress=progress,
             )
         )
 

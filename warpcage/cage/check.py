@@ -83,8 +83,7 @@ class CageReport:
         leaking_faces: (face, count) of the faces nearest to what lies outside, the leakiest first.
         hull_ratio: Volume over that of the convex hull of what should be enclosed; None where there is nothing.
         lattice_nodes: Nodes of a lattice of 128 cells along the longest side.
-        standing: What speaks for another axis up in the cage's file, or that the cage holds nothing; empty where
-            nothing does.
+        standing: Why another axis may be up in the cage's file, or that the cage holds nothing; empty otherwise.
         notes: What a selection left out of the field.
         problem: Why the cage cannot be used; empty where it can.
         pose: What a pose does; None without a pose.
@@ -271,7 +270,7 @@ def percent_text(share: float) -> str:
 
 
 def _standing(cage: ClosedMesh, *objects: object) -> str:
-    """What speaks for another axis up, by the first object that does."""
+    """The note that speaks for another axis up, by the first object that has one."""
     notes = [other_standing(cage, scene_object) for scene_object in objects if scene_object is not None]
     return next((note for note in notes if note), "")
 

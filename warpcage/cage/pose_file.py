@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_easing, checked_number, checked_path, checked_positive, listed, require_type, shown
 from ..core.files import PathLike, atomic_path, errors_of, read_document, require_file
-from ..core.names import CURVE, EASINGS, LOOPS, Easing, counted, require_name
+from ..core.names import CURVE, EASINGS, LOOPS, Easing, checked_choice, counted
 from ..errors import InputError
 from ..mesh.io import (
     ALL_OBJECTS,
@@ -45,7 +45,7 @@ _FORMAT, _VERSION = "warpcage poses", 1
 #: Frames per second where nothing says another rate.
 DEFAULT_RATE = 24.0
 
-#: How files end that a cage may move in.
+#: Endings of files that hold moving cages.
 GLTF_ENDINGS = (".glb", ".gltf")
 MOVING_ENDINGS = (*MOTION_ENDINGS, *CACHE_ENDINGS)
 
@@ -57,10 +57,9 @@ class PoseFile:
     """Named keyframes of a rest cage.
 
     The file is JSON: format, version, cage (sha256 over its faces and float64 vertices, and both in full) and
-    keyframes (name and vertices, each number with all its digits; where it was given one, time and easing); where they
-    were given, fps, loop and cameras (as `warpcage.view.camera.CameraFile` has them, with times). Readers ignore
-    keys that they do not know, so later versions may add some. A version that changes the meaning of these keys has a
-    higher number.
+    keyframes (name, vertices with all their digits, and optionally time and easing); optionally fps, loop and cameras
+    (as in `warpcage.view.camera.CameraFile`, with times). Readers ignore unknown keys, so later versions may add some.
+    A version that changes the meaning of these keys has a higher number.
 
     Args:
         rest: The cage that is posed.
@@ -72,11 +71,11 @@ class PoseFile:
 
     Attributes:
         rest: The cage that is posed.
-        times: When a keyframe is reached, by name, seconds. A keyframe need not have one, and `at` does not ask for it.
-        easings: How the way from a keyframe to the next goes, by name: a word such as "smooth", "linear" or "hold", or
+        times: Time of a keyframe, by name, seconds. Optional; `at` ignores it.
+        easings: Easing from a keyframe to the next, by name: "smooth", "linear", "hold" or another of its names, or
             {"bezier": [x1, y1, x2, y2]}.
         fps: Frames per second of its film. None leaves it open.
-        loop: What its film does at its end, "once", "loop" or "ping-pong". None leaves it open.
+        loop: How its film repeats, "once", "loop" or "ping-pong". None leaves it open.
         cameras: Keys of the camera of its film, each with a time; there may be none.
     """
 
@@ -145,10 +144,10 @@ class PoseFile:
         return self.rest.with_vertices(vertices)
 
     def at(self, time: float, names: Iterable[str] | None = None) -> Cage:
-        """The cage at a place among keyframes, on a smooth way that never goes beyond them.
+        """The cage between keyframes, by a smooth interpolation that never overshoots them.
 
         Args:
-            time: Keyframes from the first one: 0 is the first, 0.5 halfway to the second.
+            time: Number of a keyframe, from 0, or between two: 0.5 is halfway from the first to the second.
             names: Names of the keyframes in their order. None takes all in the order in which they were added.
 
         Returns:
@@ -184,7 +183,7 @@ class PoseFile:
             seconds: The time.
 
         Returns:
-            The pose; `warpcage.view.motion.value_at` says how it goes.
+            The pose, interpolated as `warpcage.view.motion.value_at` describes.
 
         Raises:
             ValueError: If no keyframe has a time, or one has an easing that is not known.
@@ -229,8 +228,8 @@ class PoseFile:
                 glTF (.glb, .gltf) and USD (.usd, .usda, .usdc) hold the cage at rest and the same frames.
 
         Raises:
-            ValueError: For a time or an easing of no keyframe, a time that is not finite, an easing that is no word, a
-                rate that is not positive, a loop that is not known, a camera without a time, or frames of no keyframe.
+            ValueError: For a time or an easing of no keyframe, a time that is not finite, an easing that is no name or
+                curve, a rate that is not positive, an unknown loop, a camera without a time, or no keyframes to write.
         """
         self._check_moments()
         if pathlib.Path(path).suffix.lower() in (*CACHE_ENDINGS, *MOTION_ENDINGS):
@@ -251,7 +250,7 @@ class PoseFile:
             temporary.write_text(json.dumps(document) + "\n", encoding="utf-8")
 
     def _save_frames(self, path: PathLike) -> None:
-        rate = self.fps or 24.0
+        rate = self.fps or DEFAULT_RATE
         if not len(self):
             raise InputError(f"{path}: a file of frames needs a keyframe")
         if self.timed:
@@ -278,11 +277,11 @@ class PoseFile:
             if isinstance(easing, Mapping):
                 self.easings[name] = known_easing(name, easing)
             elif not isinstance(easing, str) or not easing.strip():
-                raise InputError(f"the easing of keyframe {name!r} must be a word or {CURVE}, got {easing!r}")
+                raise InputError(f"the easing of keyframe {name!r} must be a name or {CURVE}, got {easing!r}")
         if self.fps is not None:
             self.fps = checked_positive(self.fps, "fps")
         if self.loop is not None:
-            require_name(self.loop, LOOPS, "loop")
+            checked_choice(self.loop, "loop", LOOPS)
         for index, key in enumerate(self.cameras):
             if key.time is None:
                 raise InputError(f"camera {key.name or index} needs a time")
@@ -347,7 +346,7 @@ class PoseFile:
 
 
 def known_easing(name: str, easing: Easing) -> Easing:
-    """The easing of a keyframe, which films know; files of a later version may have words that none knows."""
+    """The easing of a keyframe, checked; files of a later version may have others."""
     if isinstance(easing, str) and easing not in EASINGS:
         known = f"{', '.join(EASINGS)} and {CURVE}"
         raise InputError(f"keyframe {name!r} has the easing {easing[:40]!r}, known are {known}")

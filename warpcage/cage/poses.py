@@ -1,4 +1,4 @@
-"""Poses: functions that move vertices to where an artist would drag them, and the same as methods of a mesh."""
+"""Poses as functions of vertices (bend, twist, taper, stretch, scale, rotate, move), and as methods of a mesh."""
 
 from __future__ import annotations
 
@@ -292,7 +292,7 @@ Posed = TypeVar("Posed", bound="PosableMesh")
 
 
 class PosableMesh(ClosedMesh):
-    """A closed mesh with a method for each function of this module, where the formulas are."""
+    """A closed mesh with the poses of this module as methods; the functions hold the formulas."""
 
     __slots__ = ()
 
@@ -518,7 +518,7 @@ class PosableMesh(ClosedMesh):
         return principal_axes(self)[0]
 
     def _posed(self: Posed, pose: Callable[..., np.ndarray], *arguments: Any, **options: Any) -> Posed:
-        """A pose that goes by the bounding box of the vertices in use."""
+        """A pose relative to the bounding box of the vertices in use."""
         for name in ("axis", "towards"):
             if isinstance(options.get(name), str):
                 options[name] = own_axis(self, options[name])

@@ -26,14 +26,14 @@ class Preset:
     """A pose by its name, such as "bend:40:x:z"."""
 
     def __init__(self, text: str):
-        kind, *words = text.split(":")
+        kind, *arguments = text.split(":")
         neutral, axis_count = PRESETS[kind]
         number_count = {"rest": 0, "translate": 3}.get(kind, 1)
         try:
-            amount = [float(word) for word in words[:number_count]]
+            amount = [float(argument) for argument in arguments[:number_count]]
         except ValueError:
             amount = []
-        axes = words[number_count:]
+        axes = arguments[number_count:]
         good = len(amount) == number_count and all(abs(number) < float("inf") for number in amount)
         good = good and len(axes) <= axis_count and all(map(is_axis, axes))
         good = good and not any(re.fullmatch("[-+][xyz]", axis) for axis in axes[:1])
@@ -55,5 +55,5 @@ class Preset:
 
 
 def is_preset(text: str, folder: PathLike = "") -> bool:
-    """Whether a word for a pose begins as a preset and no file of the folder has this name."""
+    """Whether the spec of a pose begins as a preset does and no file of the folder has this name."""
     return text.split(":")[0] in PRESETS and not pathlib.Path(folder, text).exists()

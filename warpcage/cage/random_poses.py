@@ -12,7 +12,7 @@ import numpy as np
 
 from ..coordinates.reference_mvc import mean_value_gradients
 from ..core.checks import checked_whole, shown
-from ..core.names import require_name
+from ..core.names import checked_choice
 from ..errors import InputError
 from ..mesh.faces import column_dot, face_edges
 from ..mesh.mesh import ClosedMesh
@@ -250,7 +250,7 @@ class RandomPoseOptions:
             "seed": checked_whole(self.seed, "the seed of random poses", 0),
             "stretch": _pair(self.stretch, "stretch"),
             "reach": _pair(self.reach, "reach"),
-            "modes": tuple(require_name(mode, POSE_MODES, "a mode of random poses") for mode in self.modes),
+            "modes": tuple(checked_choice(mode, "a mode of random poses", POSE_MODES) for mode in self.modes),
         }
         for name, value in found.items():
             object.__setattr__(self, name, value)
@@ -275,7 +275,7 @@ def _pair(values: Sequence[float], name: str) -> tuple[float, float]:
     return float(pair[0]), float(pair[1])
 
 
-#: About how many places inside a cage are looked at.
+#: Samples inside a cage, about.
 SAMPLES = 300
 
 #: Length of finite differences, as a share of the size. In float64 they are right to six digits.
@@ -285,7 +285,7 @@ DIFFERENCE = 1e-6
 #: that few are left.
 CLEARANCES = (0.15, 0.01, 0.001)
 
-#: As many are enough, as a share of those that were asked for.
+#: Share of the requested samples that is enough.
 ENOUGH = 0.3
 
 
@@ -394,7 +394,7 @@ STEPS, HALVINGS = 8, 5
 #: A pose that is out of bounds after all goes back to this share of its path, so often at most.
 BACK, MAX_BACK = 0.75, 8
 
-#: Paths that are tried before a cage is given up.
+#: Paths that are tried before a cage is refused.
 MAX_WAYS = 64
 
 
@@ -402,7 +402,7 @@ class RandomPoses(Generic[Posed]):
     """Random plausible poses of a cage, numbered from 0. A number always has the same pose, whatever others are made.
 
     A pose goes some way along a random smooth path from rest: bends, twists, stretches, tapers, waves and bumps of
-    space (`warpcage.cage.random_poses`), one or several of them. How far is a random share of the farthest that is
+    space (`warpcage.cage.random_poses`), one or several of them. Its amplitude is a random share of the largest that is
     allowed: on the whole way to it the faces, and the inside by mean value coordinates, stretch within the bounds and
     turn nowhere inside out. So poses of all strengths up to the bounds come out, and none lies at them by force. The
     pose itself is measured as pictures show it (posed -> rest) too, and its faces must not cross; where that fails it
@@ -499,12 +499,12 @@ class RandomPoses(Generic[Posed]):
         return good
 
     def _smooth(self, posed: Posed) -> bool:
-        """Whether a pose is allowed by what is quick to find."""
+        """Whether a pose passes the quick tests."""
         probe = self.probe
         return probe.faces(posed).within(*self.stretch) and probe.forward(posed).within(*self.stretch)
 
     def _allowed(self, posed: Posed) -> bool:
-        """Whether a pose is allowed by all that is looked at."""
+        """Whether a pose passes all tests."""
         probe = self.probe
         return self._smooth(posed) and not probe.crosses(posed) and probe.backward(posed).within(*self.stretch)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.checks import axis_index, checked_number, checked_whole
-from ..core.names import agreed, counted
+from ..core.names import agreed, checked_choice, counted
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh, MeshTopology
 from ..mesh.validity import coincident_vertices, inward_parts
@@ -190,8 +190,7 @@ def symmetrised(cage: ClosedMesh, axis: str = "x", *, center: float | None = Non
     `keep`: "both" takes the mean of both halves, "+" or "-" copies the half on that side to the other."""
     # Faces stay, so squares may be cut along other diagonals on both sides.
     along = axis_index(axis)
-    if keep not in ("both", "+", "-"):
-        raise InputError(f"keep must be 'both', '+' or '-', got {keep!r}")
+    checked_choice(keep, "keep", ("both", "+", "-"))
     middle = float(cage.bounds[:, along].mean()) if center is None else checked_number(center, "center")
     own = cage.vertices
     mirrored = own.copy()

@@ -26,16 +26,16 @@ _WHOLE, _MISSED = 0.9, 0.02
 #: Another axis is taken where the cage misses less than this share of what it misses otherwise.
 _CLEARLY_LESS = 0.25
 
-#: Where a cage holds the object in both ways of standing, the room on its sides tells them apart from this share on.
+#: Where a cage holds the object with either axis, unevenness of its margins decides from this share on.
 _UNEVEN = 0.04
 
-#: A cage that holds less than this share of the object in each way of standing is not a cage of it.
+#: A cage that holds less than this share of the object with either axis is not a cage of it.
 _NOTHING = 1e-4
 
-#: A cage that stood beside the object is turned where it then holds this share of it.
+#: A cage beside the object is turned where it then holds this share of it.
 _SOMETHING = 0.01
 
-#: Points of the object that are looked at: fewer for cages of many faces, whose sides each of them asks for.
+#: Points of the object that are tested: fewer for cages of many faces.
 _MIN_POINTS, _MAX_POINTS, _WORK = 1000, 20_000, 20_000_000
 
 #: A part that holds so many times more of the object with another axis may have been written with it; from the lesser
@@ -141,7 +141,7 @@ def standing_of_rest(cage: ClosedMesh, up: str, scene_object: object, *, given: 
 
 
 def other_standing(cage: ClosedMesh, scene_object: object) -> str:
-    """What speaks for another axis up of a cage that was read already, by what it holds of its object, or ""."""
+    """The note of a cage that would hold more of its object with another axis up, or ""."""
     found = [standing_of_rest(cage, up, scene_object, given=True) for up in UPS]
     return next((each.note for each in found if each.doubtful), "")
 
@@ -186,15 +186,15 @@ def _pose_of(rest: ClosedMesh, cage: ClosedMesh) -> _Pose | None:
     used = rest.topology.used_vertices
     before, after, size = rest.vertices[used], posed[used], max(rest.size, 1e-300)
     moved = np.linalg.norm(after - before, axis=1) / size
-    telling = np.linalg.norm(turned_up(before, "y", "z") - before, axis=1) > 10.0 * _STAYS * size
-    still = int(np.count_nonzero(moved[telling] <= _STAYS))
+    decisive = np.linalg.norm(turned_up(before, "y", "z") - before, axis=1) > 10.0 * _STAYS * size
+    still = int(np.count_nonzero(moved[decisive] <= _STAYS))
     rotation, residual = _similarity(before, after)
     cosine = np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0)
     return _Pose(
         distance=float(np.sqrt(np.mean(moved**2))),
         turn=float(np.degrees(np.arccos(cosine))),
         similar=residual <= _SIMILAR * size,
-        still=still / max(1, int(np.count_nonzero(telling))),
+        still=still / max(1, int(np.count_nonzero(decisive))),
         still_count=still,
     )
 

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ..coordinate_kinds import COORDINATE_KINDS, CoordinateKind, names_where
 from ..core.arrays import (
     DLPackArray,
     PointsLike,
@@ -27,10 +28,10 @@ from ..core.arrays import (
 from ..core.checks import device_by_name
 from ..core.devices import launch
 from ..core.memory import require_memory
-from ..core.names import OUTSIDE, POINT_COORDINATES, agreed, chosen, require_name
+from ..core.names import OUTSIDE, POINT_COORDINATES, agreed, checked_choice, coordinate_kind
 from ..core.reports import Progress, reports_progress
 from ..errors import InputError
-from ..kernels.coordinates import green, local_points, mean_value
+from ..kernels.coordinates import local_points
 from ..kernels.lattice import cage_map
 from ..lattice.position_map import PositionMap
 from ..mesh import faces as face_geometry
@@ -79,18 +80,20 @@ def _localise(points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike) -> _L
     return _Local(points, local, wp.array(bad, dtype=int, device=place))
 
 
-def _way_outside(outside: str | None, kind: str) -> str:
-    """What happens to points outside of a cage, as `outside=` says it; None is the kind's own way."""
+def _way_outside(outside: str | None, kind: CoordinateKind) -> str:
+    """What happens to points outside of a cage, as `outside=` says it; None is the default of the kind."""
     if outside is None:
-        return chosen(kind, "coordinates", harmonic="raise", mean_value="extend", green="raise")
-    if require_name(outside, OUTSIDE, "outside") == "extend" and kind != "mean_value":
-        raise InputError(f"{kind} coordinates are not defined outside of a cage: take outside='raise' or 'nan'")
+        return "extend" if kind.extends else "raise"
+    if checked_choice(outside, "outside", OUTSIDE) == "extend" and not kind.extends:
+        raise InputError(f"{kind.name} coordinates are not defined outside of a cage: take outside='raise' or 'nan'")
     return outside
 
 
-def _lost_rows(local: _Local, cage: ClosedMesh, kind: str, outside: str, *, flagged: bool = False) -> np.ndarray:
-    """Rows of points for which there is no answer, to be NaN; it waits for the device once, and refuses bad points.
-    flagged: a kernel has told whether any point is outside."""
+def _lost_rows(
+    local: _Local, cage: ClosedMesh, kind: CoordinateKind, outside: str, *, flagged: bool = False
+) -> np.ndarray:
+    """Rows of points that have no coordinates, to be NaN; waits for the device once, and refuses bad points.
+    flagged: a kernel has set `bad[2]` where a point is outside."""
     not_finite, far, found = local.bad.numpy()
     if not_finite:
         _ = local.world  # raises
@@ -102,12 +105,12 @@ def _lost_rows(local: _Local, cage: ClosedMesh, kind: str, outside: str, *, flag
         return np.zeros(0, np.int64)
     lost = _outside_points(local, cage)
     if len(lost) and outside == "raise":
-        any_point = ", mean_value for any"
-        hint = chosen(kind, "coordinates", harmonic=any_point, mean_value="", green=any_point)
+        hint = "" if kind.extends else f", {' or '.join(names_where('extends'))} for any"
         raise InputError(
             f"{len(lost)} of {local.count} points {agreed(len(lost), 'is', 'are')} outside the cage by more "
             f"than {SURFACE_TOLERANCE:g} of its size, "
-            f"the first is point {lost[0]} at ({local.place(lost[0])}): {kind} coordinates are for points inside{hint}"
+            f"the first is point {lost[0]} at ({local.place(lost[0])}): {kind.name} coordinates are for points "
+            f"inside{hint}"
         )
     return lost
 
@@ -247,52 +250,39 @@ def deform_points(
             of them. For cages whose faces differ, and for a rest cage (harmonic: also a deformed cage) that is not
             usable. For another name of coordinates or of `outside`.
     """
-    move = chosen(coordinates, "coordinates", harmonic=_move_harmonic, mean_value=_move_mean_value, green=_move_green)
+    kind = coordinate_kind(coordinates)
     require_mesh(rest, "the rest cage must be")
     require_usable(rest, "rest cage")
     deformed = posed_mesh(rest, deformed, "the deformed cage must be")
     if deformed.size > rest.size and (problem := size_problem(deformed)):
         raise InputError(f"deformed cage {problem}")
-    return move(_localise(points, rest, device), rest, deformed, _way_outside(outside, coordinates))
+    move_points = kind.load("move_points")
+    return move_points(kind, _localise(points, rest, device), rest, deformed, _way_outside(outside, kind))
 
 
-def _move_mean_value(local: _Local, rest: ClosedMesh, deformed: ClosedMesh, outside: str) -> Any:
-    positions, inputs = _closed_form_inputs(local, rest, deformed)
-    work = len(rest.faces)
-    launch(mean_value.map_mean_value, local.count, [*inputs, 1.0], [positions], device=local.device, work=work)
-    return _moved(positions, local, rest, deformed, "mean_value", outside)
-
-
-def _move_green(local: _Local, rest: ClosedMesh, deformed: ClosedMesh, outside: str) -> Any:
-    positions, inputs = _closed_form_inputs(local, rest, deformed)
-    normals = stretched_normals(rest, deformed)[rest.topology.fans.order].astype(np.float32)
-    inputs += [wp.array(normals, dtype=wp.vec3, device=local.device), 1.0]
-    outputs, work = [positions, local.bad[2:]], len(rest.faces)
-    launch(green.map_green_inside, local.count, inputs, outputs, device=local.device, work=work)
-    return _moved(positions, local, rest, deformed, "green", outside, flagged=True)
-
-
-def _moved(
-    positions: wp.array, local: _Local, rest: ClosedMesh, deformed: ClosedMesh, kind: str, outside: str, **flags: bool
+def move_in_closed_form(
+    kind: CoordinateKind, local: _Local, rest: ClosedMesh, deformed: ClosedMesh, outside: str
 ) -> Any:
-    """Moved points in world units, as an array of the points' kind; flags: as `_lost_rows` has them."""
-    center = deformed.bounds.mean(axis=0)
+    """Points moved by a kernel that evaluates the coordinates; arguments and result as in `deform_points`."""
+    device, center = local.device, deformed.bounds.mean(axis=0)
+    vertices, _ = _cage_arrays(rest, local)
+    faces = wp.array(rest.topology.fans.faces, dtype=wp.vec3i, device=device)
+    targets = ((deformed.vertices - center) / rest.size).astype(np.float32)
+    inputs = [local.points, vertices, faces, prepared_fans(vertices, faces, 1.0)]
+    inputs.append(wp.array(targets, dtype=wp.vec3, device=device))
+    positions = empty_array(local.count, wp.vec3, device)
+    outputs: list[Any] = [positions]
+    if kind.has_face_weights:
+        normals = stretched_normals(rest, deformed)[rest.topology.fans.order].astype(np.float32)
+        inputs.append(wp.array(normals, dtype=wp.vec3, device=device))
+        outputs.append(local.bad[2:])
+    launch(kind.load("map_points"), local.count, [*inputs, 1.0], outputs, device=device, work=len(rest.faces))
     world = _restored(positions, local, center, rest.size)
-    lost = _lost_rows(local, rest, kind, outside, **flags)  # after all is under way
+    lost = _lost_rows(local, rest, kind, outside, flagged=kind.has_face_weights)  # waits, so after all launches
     if len(lost):
         _set_nan(positions, lost)
         world = _restored(positions, local, center, rest.size)
     return world
-
-
-def _closed_form_inputs(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> tuple[wp.array, list[Any]]:
-    """Where the moved points go, in the frame of the posed cage, and what kernels of both closed forms take."""
-    targets = ((deformed.vertices - deformed.bounds.mean(axis=0)) / rest.size).astype(np.float32)
-    vertices, _ = _cage_arrays(rest, local)
-    faces = wp.array(rest.topology.fans.faces, dtype=wp.vec3i, device=local.device)
-    fans = prepared_fans(vertices, faces, 1.0)
-    positions = empty_array(local.count, wp.vec3, local.device)
-    return positions, [local.points, vertices, faces, fans, wp.array(targets, dtype=wp.vec3, device=local.device)]
 
 
 def stretched_normals(source: ClosedMesh, target: ClosedMesh) -> np.ndarray:
@@ -302,8 +292,9 @@ def stretched_normals(source: ClosedMesh, target: ClosedMesh) -> np.ndarray:
     return face_geometry.stretched_normals(source, face_geometry.StretchTarget.of(target)).T
 
 
-def _move_harmonic(local: _Local, rest: ClosedMesh, deformed: ClosedMesh, outside: str) -> Any:
-    lost = _lost_rows(local, rest, "harmonic", outside)
+def move_on_lattice(kind: CoordinateKind, local: _Local, rest: ClosedMesh, deformed: ClosedMesh, outside: str) -> Any:
+    """Points moved by a map on a lattice; arguments and result as in `deform_points`."""
+    lost = _lost_rows(local, rest, kind, outside)
     require_usable(deformed, "deformed cage")
     # the map runs from the cage it is posed to, here the rest cage, to the one it is made of; both about the origin, as
     # float32 keeps few digits of a map between cages that are far apart
@@ -311,7 +302,7 @@ def _move_harmonic(local: _Local, rest: ClosedMesh, deformed: ClosedMesh, outsid
     target = deformed.with_vertices((deformed.vertices - center) / rest.size)
     source = rest.with_vertices((rest.vertices - rest.bounds.mean(axis=0)) / rest.size)
     position_map = PositionMap(
-        target, coordinates="harmonic", resolution=HARMONIC_RESOLUTION, origin=np.zeros(3), device=local.device
+        target, coordinates=kind.name, resolution=HARMONIC_RESOLUTION, origin=np.zeros(3), device=local.device
     ).pose(source)
     positions, distance = wp.empty_like(local.points), empty_array(local.count, float, local.device)
     launch(
@@ -348,19 +339,37 @@ def mean_value_coordinates(
         ValueError: For points of another shape, not finite, refused as outside or farther away, for a cage that is
             open, inward or degenerate, for too little memory on the device, and for another name of `outside`.
     """
+    (weights,) = _weigh(COORDINATE_KINDS["mean_value"], points, cage, device, outside)
+    return as_given(weights, points)
+
+
+def _weigh(
+    kind: CoordinateKind, points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike, outside: str
+) -> list[wp.array]:
+    """Weights of vertices (n, v), and of faces (n, f) in world units where there are any, by a closed form."""
+    local, lost = _checked_points(kind, points, cage, device, outside)
+    columns = [len(cage.vertices)] + [len(cage.faces)] * kind.has_face_weights
+    _require_room(local, sum(columns))
+    weights = [empty_array((local.count, count), wp.float32, local.device) for count in columns]
+    inputs = [local.points, *_cage_arrays(cage, local), 1.0]
+    launch(kind.load("weigh_points"), local.count, inputs, weights, device=local.device, work=len(cage.faces))
+    for lengths in weights[1:]:
+        launch(local_points.scale_rows, local.count, [cage.size], [lengths], device=local.device)
+    if len(lost):
+        for array in weights:
+            _set_nan(array, lost)
+    return weights
+
+
+def _checked_points(
+    kind: CoordinateKind, points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike, outside: str
+) -> tuple[_Local, np.ndarray]:
+    """Points in the frame of a usable cage, and the rows that have no coordinates."""
     require_mesh(cage, "the cage must be")
     require_usable(cage)
-    way = _way_outside(outside, "mean_value")
+    outside = _way_outside(outside, kind)
     local = _localise(points, cage, device)
-    lost = _lost_rows(local, cage, "mean_value", way)
-    _require_room(local, len(cage.vertices))
-    weights = empty_array((local.count, len(cage.vertices)), wp.float32, local.device)
-    vertices, faces = _cage_arrays(cage, local)
-    inputs = [local.points, vertices, faces, 1.0]
-    launch(mean_value.weigh_mean_value, local.count, inputs, [weights], device=local.device, work=len(cage.faces))
-    if len(lost):
-        _set_nan(weights, lost)
-    return as_given(weights, points)
+    return local, _lost_rows(local, cage, kind, outside)
 
 
 @points_in_turn
@@ -388,27 +397,7 @@ def green_coordinates(
         ValueError: For points outside (with their number and the first of them), of another shape or not finite, for a
             cage that is open, inward or degenerate, for too little memory on the device, and for another `outside`.
     """
-    require_mesh(cage, "the cage must be")
-    require_usable(cage)
-    way = _way_outside(outside, "green")
-    local = _localise(points, cage, device)
-    lost = _lost_rows(local, cage, "green", way)
-    _require_room(local, len(cage.vertices) + len(cage.faces))
-    vertex_weights = empty_array((local.count, len(cage.vertices)), wp.float32, local.device)
-    face_weights = empty_array((local.count, len(cage.faces)), wp.float32, local.device)
-    vertices, faces = _cage_arrays(cage, local)
-    launch(
-        green.weigh_green,
-        local.count,
-        [local.points, vertices, faces, 1.0],
-        [vertex_weights, face_weights],
-        device=local.device,
-        work=len(cage.faces),
-    )
-    launch(local_points.scale_rows, local.count, [cage.size], [face_weights], device=local.device)
-    if len(lost):
-        _set_nan(vertex_weights, lost)
-        _set_nan(face_weights, lost)
+    vertex_weights, face_weights = _weigh(COORDINATE_KINDS["green"], points, cage, device, outside)
     return as_given(vertex_weights, points), as_given(face_weights, points)
 
 
@@ -435,8 +424,8 @@ def harmonic_coordinates(
             about 1e-3 away from the cage and 1e-2 next to it.
         device: Warp device. None is the device of an array on a device, else CUDA where there is one.
         outside: "raise" refuses points farther outside than 1e-5 of the cage's size; "nan" fills their rows with NaN.
-        progress: True shows a bar on stderr. A function is told (done, total, words), in vertices of the cage, and ends
-            the work by returning False or by raising.
+        progress: True shows a bar on stderr. A function is called with (done, total, message), in vertices of the cage,
+            and ends the work by returning False or by raising.
 
     Returns:
         (n, v) float32, an array of the points' kind on their device, not negative up to rounding; rows sum to one.
@@ -446,14 +435,10 @@ def harmonic_coordinates(
             resolution out of range, too little memory on the device, and for another `outside`.
         Cancelled: Where `progress` returned False.
     """
-    require_mesh(cage, "the cage must be")
-    require_usable(cage)
-    way = _way_outside(outside, "harmonic")
-    local = _localise(points, cage, device)
-    lost = _lost_rows(local, cage, "harmonic", way)
+    local, lost = _checked_points(COORDINATE_KINDS["harmonic"], points, cage, device, outside)
     if not len(lost):
-        return harmonic_weights(points, cage, resolution, local.device)
+        return harmonic_weights(points, cage, resolution, local.device, progress=progress)
     weights = np.full((local.count, len(cage.vertices)), np.nan, np.float32)
     held = np.delete(np.arange(local.count), lost)
-    weights[held] = harmonic_weights(local.world[held], cage, resolution, local.device)
+    weights[held] = harmonic_weights(local.world[held], cage, resolution, local.device, progress=progress)
     return as_given(wp.array(weights, device=local.device), points)

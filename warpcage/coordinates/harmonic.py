@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from ..core.checks import warn_caller
 from ..core.devices import launch
 from ..core.memory import require_memory
 from ..core.names import agreed
+from ..core.reports import Progress
 from ..errors import InputError
 from ..kernels.lattice.cage_map import CageMap, sample_weights
 from ..lattice.gaps import MapTarget, lattice_side_bytes
@@ -37,6 +39,7 @@ def harmonic_weights(
     device: wp.DeviceLike = None,
     *,
     tolerance: float = 1e-5,
+    progress: bool | Progress = False,
 ) -> Any:
     """Harmonic coordinates (n, v) float32 of points (n, 3), world units, inside a cage, interpolated from a lattice.
     `resolution`: cells along its longest side; `tolerance`: of the solver, as a share of the values."""
@@ -62,19 +65,34 @@ def harmonic_weights(
     )
     weights = empty_array((len(host), vertex_count), float, device)
     if len(host):
-        center = cage.bounds.mean(axis=0)  # size one about the origin: weights do not depend on units
-        local = cage.with_vertices((cage.vertices - center) / cage.size)
-        lattice = CageLattice(local, resolution, device=device)
-        places = ((host - center) / cage.size - lattice.lower) / lattice.spacing
-        places = wp.array(places.astype(np.float32), dtype=wp.vec3, device=device)
-        solver = HarmonicSolver(lattice, tolerance=tolerance)
-        solver.prepare()
-        gaps = WeightGaps(solver)  # own values for each side of gaps below two cells; rough below one, with a warning
-        for column, selected in solver.solve_vertices():
-            inputs = [column, gaps.cage_map(selected), places]
-            launch(sample_weights, len(host), inputs, [weights], device=device)
-        gaps.report()
+        options: dict[str, Any] = {"tolerance": tolerance, "progress": progress}
+        for column, cage_map, places, _ in weight_maps(host, cage, resolution, device, **options):
+            launch(sample_weights, len(host), [column, cage_map, places], [weights], device=device)
     return as_given(weights, points)
+
+
+def weight_maps(
+    points: np.ndarray,
+    cage: ClosedMesh,
+    resolution: int,
+    device: wp.DeviceLike,
+    *,
+    tolerance: float = 1e-5,
+    progress: bool | Progress = False,
+) -> Iterator[tuple[int, WarpStruct, wp.array, float]]:
+    """For three vertices of a cage at a time: the index of the first, the CageMap of their harmonic weights in node
+    units, points (n, 3) in these, and the spacing of nodes in sizes of the cage."""
+    center = cage.bounds.mean(axis=0)  # size one about the origin: weights do not depend on units
+    local = cage.with_vertices((cage.vertices - center) / cage.size)
+    lattice = CageLattice(local, resolution, device=device)
+    places = ((points - center) / cage.size - lattice.lower) / lattice.spacing
+    places = wp.array(places.astype(np.float32), dtype=wp.vec3, device=device)
+    solver = HarmonicSolver(lattice, tolerance=tolerance)
+    solver.prepare()
+    gaps = WeightGaps(solver)  # own values for each side of gaps below two cells; rough below one, with a warning
+    for column, selected in solver.solve_vertices(progress):
+        yield column, gaps.cage_map(selected), places, lattice.spacing
+    gaps.report()
 
 
 class WeightGaps:

@@ -7,23 +7,25 @@ __getattr__, __dir__, __all__ = lazy_exports(
     {
         "arrays": "array_bytes array_view as_points",
         "checks": (
-            "axis_index checked_bounds checked_easing checked_margin checked_number checked_positive checked_step "
+            "axis_index checked_bounds checked_easing checked_number checked_positive checked_step "
             "checked_vector checked_whole listed warn_caller"
         ),
         "devices": (
             "MIN_SPARE RecordedLaunch RecordedLaunches SPARE_FRAMES SpareMemory half_texture "
             "kernel_label launch module_block_dim recorded_launches resolve_device"
         ),
-        "files": "NpyFile atomic_path file_stamp joined_crc npz_names read_limited read_npz",
+        "files": "atomic_path file_stamp read_limited",
         "kernel_files": (
             "FOLDER MOVED all_needs copy_kernel direct_needs find_kernel host_modules kernel_call kernel_groups "
             "kernel_names kernel_source kernel_summary native_files"
         ),
-        "locks": "device_turn owner_lock",
         "memory": "MEASURED_EVERY MemoryShortage LRUCache UNKNOWN free_host_bytes",
         "modules": "load_modules",
         "names": "COORDINATES EASINGS agreed counted error_line",
+        "npz": "NpyFile joined_crc npz_names read_npz",
         "overlap": "BackgroundWriter SPARE stream",
-        "threads": "PART_SECONDS THREADS_VARIABLE cpu_threads limit_threads run_parallel run_parts",
+        "threads": (
+            "PART_SECONDS THREADS_VARIABLE cpu_threads device_turn limit_threads owner_lock run_parallel run_parts"
+        ),
     },
 )

@@ -1,4 +1,4 @@
-"""Arrays in and out: NumPy, DLPack, `__cuda_array_interface__`; copies to the host that nobody waits for yet."""
+"""Conversion of arrays (NumPy, DLPack, `__cuda_array_interface__`) and asynchronous copies to the host."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from ..errors import InputError
 from ..kernels.coordinates.local_points import NUMBERS, find_not_finite, localise_points
 from .devices import launch, resolve_device
-from .locks import device_turn
 from .names import error_line
+from .threads import device_turn
 
 #: What DLPack calls main memory.
 DLPACK_CPU = 1
@@ -27,7 +27,7 @@ _ROOT = __name__.removesuffix("core.arrays")  # "warpcage.", and another in copi
 
 
 class DLPackArray(Protocol):
-    """An array of another library (torch, CuPy, JAX) that tells where its memory is."""
+    """An array of another library (torch, CuPy, JAX) that exports its memory."""
 
     def __dlpack__(self, *args: Any, **options: Any) -> Any: ...
 
@@ -182,7 +182,7 @@ def _importer(given: Any) -> Callable[[Any], Any] | None:
 
 def require_finite(*named: tuple[str, wp.array]) -> None:
     """Refuse points of one device, names and (n,) vec3, with a value that is not finite.
-    It waits for the device, but while a graph is captured, which nobody can wait for."""
+    It waits for the device. While a graph is captured nothing is checked."""
     device = named[0][1].device
     assert device is not None
     if device.is_cuda and device.is_capturing:
@@ -286,7 +286,7 @@ def _from_foreign(array: Any, name: str) -> wp.array:
     try:
         if hasattr(array, "__dlpack__"):
             found = wp.from_dlpack(array)
-        else:  # nobody says in which stream it is made
+        else:  # the stream that makes it is not known
             found = wp.array(array, copy=False)
             wp.synchronize_device(found.device)
     except Exception as error:
@@ -296,7 +296,7 @@ def _from_foreign(array: Any, name: str) -> wp.array:
 
 
 def _unreadable(array: Any, name: str, error: Exception) -> InputError:
-    """The refusal of an array whose library does not hand its memory out."""
+    """The refusal of an array whose library does not export its memory."""
     return InputError(f"{name} of type {type(array).__name__} could not be read through DLPack: {error_line(error)}")
 
 
@@ -379,7 +379,7 @@ LOOK, PATIENCE = 2.0e-4, 2.0
 #: Bytes at the beginning of a piece, where the number stands.
 HEAD = 64
 
-#: What the number is where nobody names another.
+#: The number where no `state` is given.
 THERE = 1
 
 
@@ -387,8 +387,8 @@ class HostCopy:
     """A copy of a contiguous array on a CUDA device, as it is when all is done that was launched before.
     `state`, (1,) int32 on its device and not 0 by then, comes with the copy; None is THERE."""
 
-    # Behind each copy the device writes a number into memory that the host reads: whoever needs the copy looks at that,
-    # in any thread, without a word to the device. Its turn (`device_turn`) stays with the thread that launches.
+    # Behind each copy the device writes a number into memory that the host reads: any thread that needs the copy polls
+    # it, without a call to the device. `device_turn` stays with the thread that launches.
 
     def __init__(self, array: wp.array, state: wp.array | None = None):
         assert array.device is not None
@@ -453,7 +453,7 @@ class _Staging:
         rounded = -(-(HEAD + size) // PIECE) * PIECE
         with self._lock:
             free = self._free.setdefault(rounded, [])
-            # one that nobody waited for may still be written to
+            # a piece that was dropped before its copy ended may still be written to
             place = next((place for place, block in enumerate(free) if _state(block)), None)
             if place is not None:
                 return _Piece(self, free.pop(place), size)
@@ -469,7 +469,7 @@ class _Staging:
         self._free[block.size].append(block)
 
     def _drop_free(self) -> None:
-        """Let go of pieces that nobody uses, which may be of other sizes."""
+        """Free the pieces that are not in use, of all sizes."""
         for size, free in self._free.items():
             for place in reversed(range(len(free))):  # others may come at the end meanwhile
                 if _state(free[place]):

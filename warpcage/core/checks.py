@@ -1,4 +1,4 @@
-"""Checks of what callers give, each in one place, and warnings to them."""
+"""Checks of values that callers give, and warnings to them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, UseError
-from .names import CURVE, EASINGS, Easing, error_line, require_name
+from .names import CURVE, EASINGS, Easing, checked_choice, error_line
 
 #: Most samples that a caller may ask for along the diagonal of a field: with more a picture takes minutes, and no pixel
 #: differs.
@@ -47,29 +47,32 @@ def require_type(value: object, kind: type, what: str) -> None:
         raise InputError(f"{what} a {kind.__name__}, got {type(value).__name__}")
 
 
-def checked_number(value: Any, name: str) -> float:
-    """One finite number, or an array of no dimensions, as a float."""
+def checked_number(value: Any, name: str, minimum: float | None = None, maximum: float | None = None) -> float:
+    """One finite number in a range (None: no limit), or an array of no dimensions, as a float; a bool is none."""
     number = _number(value)
-    if not math.isfinite(number):
-        raise InputError(f"{name} must be one finite number, got {shown(value)}")
-    return number
+    if math.isfinite(number) and (minimum is None or number >= minimum) and (maximum is None or number <= maximum):
+        return number
+    kind = (
+        "one finite number"
+        if minimum is None
+        else f"a finite number of at least {minimum:g}"
+        if maximum is None
+        else f"a number from {minimum:g} to {maximum:g}"
+    )
+    raise InputError(f"{name} must be {kind}, got {shown(value)}")
 
 
 def checked_easing(value: Any, what: str) -> Easing:
     """One of EASINGS, or a curve of one's own with its four numbers as floats; x1 and x2 are times from 0 to 1."""
     if isinstance(value, str):
-        return require_name(value, EASINGS, what)
+        return checked_choice(value, what, EASINGS)
     if not isinstance(value, Mapping) or set(value) != {"bezier"}:
         raise InputError(f"{what} must be one of {', '.join(EASINGS)}, or {CURVE}, got {shown(value)}")
-    given = value["bezier"]
-    if not isinstance(given, list | tuple) or len(given) != 4:
-        raise InputError(f"{what} must have four numbers, {CURVE}, got {shown(given)}")
-    numbers = {}
-    for name, value in zip(("x1", "y1", "x2", "y2"), given, strict=True):
-        numbers[name] = number = checked_number(value, f"{name} of {what}")
-        if name in ("x1", "x2") and not 0.0 <= number <= 1.0:
-            raise InputError(f"{name} of {what} must be a share, 0 to 1, got {number:g}")
-    return {"bezier": [*numbers.values()]}
+    numbers = value["bezier"]
+    if not isinstance(numbers, list | tuple) or len(numbers) != 4:
+        raise InputError(f"{what} must have four numbers, {CURVE}, got {shown(numbers)}")
+    named = zip(("x1", "y1", "x2", "y2"), numbers, strict=True)
+    return {"bezier": [checked_number(x, f"{name} of {what}", *((0, 1) if "x" in name else ())) for name, x in named]}
 
 
 def checked_positive(value: Any, name: str) -> float:
@@ -93,13 +96,13 @@ def checked_march(step: float | None, default: float, diagonal: float, distance:
         raise InputError(
             f"the march step must be at least {shortest:.3g} ({MAX_SAMPLES} in the field), got {shown(step)}"
         )
-    told = 2.0 * float32_spacing(distance + diagonal)
-    if not told <= number:
+    smallest = 2.0 * float32_spacing(distance + diagonal)
+    if not smallest <= number:
         farthest = 2.0**21 * number - diagonal
         remedy = f", or move it to within {farthest:.3g}" if farthest > 0 else ""
         raise InputError(
             f"a camera {distance:.3g} from the middle of the field is too far for march steps of {number:.3g}, which "
-            f"float32 cannot tell there: take a step of at least {told:.3g}{remedy}"
+            f"float32 cannot resolve there: take a step of at least {smallest:.3g}{remedy}"
         )
     return number
 
@@ -120,27 +123,19 @@ def require_ordinary_side(side: float, what: str) -> None:
         )
 
 
-def checked_margin(margin: float) -> float:
-    """A distance that is kept between two surfaces, not negative, in units of the caller."""
-    number = _number(margin)
-    if not (math.isfinite(number) and number >= 0.0):
-        raise InputError(f"margin must be finite and not negative, got {shown(margin)}")
-    return number
-
-
-def checked_whole(value: Any, name: str, least: int, most: int | None = None) -> int:
-    """A whole number, of Python or NumPy, from `least` to `most` (None is no limit) as an int; a bool is none."""
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or value < least or (most is not None and value > most):
-        span = f"of at least {least}" if most is None else f"from {least} to {most}"
+def checked_whole(value: Any, name: str, minimum: int, maximum: int | None = None) -> int:
+    """A whole number, of Python or NumPy, in a range (None: no limit) as an int; a bool is none."""
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not is_whole or value < minimum or (maximum is not None and value > maximum):
+        span = f"of at least {minimum}" if maximum is None else f"from {minimum} to {maximum}"
         raise InputError(f"{name} must be a whole number {span}, got {shown(value)}")
     return int(value)
 
 
 def checked_flag(value: Any, name: str) -> bool:
-    """Yes or no: a bool of Python or NumPy; words are refused, which would all be yes."""
+    """A bool of Python or NumPy as Python's; text is refused, which would always be true."""
     if not isinstance(value, bool | np.bool_):
-        raise InputError(f"{name} must be True or False, got {shown(value)}")
+        raise InputError(f"{name} must be true or false, got {shown(value)}")
     return bool(value)
 
 
@@ -226,11 +221,15 @@ def _number(value: Any) -> float:
     """One number as a float, NaN for what is none."""
     # what has a number's type is not shown to NumPy, which took a third of the time of a large job file
     try:
-        if isinstance(value, float | int) or (np.ndim(value) == 0 and not isinstance(value, str | bytes)):
-            return float(value)
-        return math.nan
+        if isinstance(value, _NO_NUMBERS) or not (isinstance(value, (float, int)) or np.ndim(value) == 0):
+            return math.nan
+        return float(value)
     except (TypeError, ValueError, OverflowError):
         return math.nan
+
+
+#: Types that `float` takes, but which are no numbers.
+_NO_NUMBERS = (bool, np.bool_, str, bytes)
 
 
 #: The folder of the whole package: frames in it are not the caller's.
@@ -246,10 +245,10 @@ def warn_caller(message: str) -> None:
 
 
 class Cuts:
-    """What numbers lose on their way into a file whose numbers reach less far, for one warning a file."""
+    """Counts values that are clipped to the range of a file format, for one warning per file."""
 
-    # All of it is said; with these, only where more than a share of the numbers is more than `beside` beyond the range,
-    # or one more than `far`.
+    # All clipping is reported by default; otherwise only where more than a share of the numbers is more than `beside`
+    # beyond the range, or one more than `far`.
     def __init__(self, *, beside: float = 0.0, share: float = 0.0, far: float = 0.0):
         self._beside, self._share, self._far = beside, share, far
         # how many are cut, how many by more than `beside`, of how many, and by how much at most, by what they are
@@ -257,8 +256,8 @@ class Cuts:
         self._lock = threading.Lock()
 
     def clip(self, what: str, values: np.ndarray, low: float, high: float, step: float) -> np.ndarray:
-        """Numbers cut to a range. Counted are those beyond it by more than half a step of the format.
-        what: they are, in the plural."""
+        """Numbers clipped to a range. Counted are those beyond it by more than half a step of the format.
+        what: their name, in the plural."""
         if not values.size:
             return values
         least, most = (float(each.reduce(values, axis=None)) for each in (np.fmin, np.fmax))  # NaN is none
@@ -274,14 +273,14 @@ class Cuts:
         return np.clip(values, low, high) if beyond > 0.0 else values
 
     def warn(self, file: object, kept: str = "") -> bool:
-        """Say what was cut, if anything was; whether it was. kept: which format keeps it, as the line ends."""
+        """Warn of clipped values; returns whether there are any. kept: end of the line, which format keeps them."""
         text = self.text(kept)
         if text:
             warn_caller(f"{file}: {text}")
         return bool(text)
 
     def text(self, kept: str = "") -> str:
-        """What a warning says of the file, "" where nothing is to be said."""
+        """The text of the warning; "" for none."""
         parts = [
             f"{cut} of {total} {what}, by up to {most:.3g}"
             for what, (cut, wide, total, most) in self._found.items()
@@ -291,8 +290,8 @@ class Cuts:
 
 
 def registered_formats(group: str, what: str, require: Callable[[object], None]) -> Iterable[Any]:
-    """What other packages register under a group of entry points, by name; what cannot be used is left out with a
-    warning. what: "the mesh format" for messages, require: refuses by an exception what is none."""
+    """Formats that other packages register under a group of entry points, by name; unusable ones are left out with a
+    warning. what: their name in messages, such as "the mesh format"; require: raises for an object that is none."""
     for entry in sorted(importlib.metadata.entry_points(group=group), key=lambda entry: entry.name):
         try:
             format = entry.load()
@@ -304,22 +303,22 @@ def registered_formats(group: str, what: str, require: Callable[[object], None])
 
 
 def format_lines(formats: Iterable[Any]) -> list[str]:
-    """Each format of files in words: name, endings, and what is done with it."""
+    """A line for each file format: name, endings, and whether it is read and written."""
     return [
         f"{format.name} ({' '.join(format.endings)}): "
-        + " and ".join(word for word, can in (("read", format.read), ("written", format.write)) if can)
+        + " and ".join(verb for verb, can in (("read", format.read), ("written", format.write)) if can)
         for format in formats
     ]
 
 
 def require_endings(endings: tuple[str, ...]) -> None:
-    """Refuse endings of a format's files that are no ends of names in small letters."""
+    """Refuse file endings of a format that are not in lower case or do not begin with a dot."""
     if not endings or not all(each.startswith(".") and each == each.lower() for each in endings):
         raise InputError(f"its endings must be lower case and begin with a dot, got {endings!r}")
 
 
 def renamed(**names: str) -> Callable[[Decorated], Decorated]:
-    """Decorates a function or class whose arguments have new names: center="centre" takes centre= too, this release."""
+    """Decorates a function or class whose arguments were renamed: with center="centre" it still takes centre=."""
 
     def decorate(decorated: Any) -> Any:  # a function or a class
         function = decorated.__init__ if isinstance(decorated, type) else decorated
@@ -330,7 +329,7 @@ def renamed(**names: str) -> Callable[[Decorated], Decorated]:
                 if old in options:
                     if new in options:
                         raise UseError(f"{old} is the old name of {new}: give one of them")
-                    warn_caller(f"{old}= is called {new}= now: the next version knows that name alone")
+                    warn_caller(f"{old}= is called {new}= now: the old name goes with the next version")
                     options[new] = options.pop(old)
             return function(*values, **options)
 
@@ -343,7 +342,7 @@ def renamed(**names: str) -> Callable[[Decorated], Decorated]:
 
 
 def device_by_name(function: Decorated) -> Decorated:
-    """Decorates a function whose `device` is named now: as its last value by place it is taken too, for one release."""
+    """Decorates a function whose `device` became keyword-only: it still takes it as its last positional argument."""
     call: Any = function
     kinds = [parameter.kind for parameter in inspect.signature(function).parameters.values()]
     most = sum(kind is inspect.Parameter.POSITIONAL_OR_KEYWORD for kind in kinds)

@@ -11,14 +11,13 @@ from typing import Any, NoReturn
 import warp as wp
 
 from ..errors import InputError, UseError
-from .locks import device_turn
 from .modules import Kernel, require_loaded, start_warp
-from .threads import cpu_threads, run_parts
+from .threads import cpu_threads, device_turn, run_parts
 
 #: Work of the first part of a launch on the CPU, in steps of `launch`: some hundredths of a second where it is known.
 FIRST_WORK = 1 << 20
 
-#: Steps that an item is taken for where nobody knows.
+#: Steps of an item where `work` is not given.
 DEFAULT_WORK = 16
 
 _records: tuple[list[str], ...] = ()  # of `recorded_launches`; threads replace the tuple as a whole
@@ -87,7 +86,7 @@ def launch_off_tape(
     kernel: Kernel, count: int, inputs: Sequence[Any], outputs: Sequence[Any] = (), **options: Any
 ) -> Any:
     """`wp.launch` that no wp.Tape of a caller records; `options` are more of its own. All launches go through here."""
-    # A tape would go back through kernels that have no way back, and cannot through structs with an array left out.
+    # A tape would differentiate kernels that have no backward pass, and fails at structs with an array left out.
     return wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, record_tape=False, **options)
 
 
@@ -157,13 +156,13 @@ class RecordedLaunches:
         outputs: Iterable[Any] = (),
         *,
         number: int = 0,
-        **how: Any,
+        **options: Any,
     ) -> None:
-        """Launch a kernel; `number` tells launches of the same kernel apart, `how` goes on to RecordedLaunch."""
+        """Launch a kernel; `number`: of launches of the same kernel; `options`: of RecordedLaunch."""
         key = kernel, number
         if key not in self._launches:
             self._launches[key] = RecordedLaunch(kernel, self._device)
-        self._launches[key](count, inputs, outputs, **how)
+        self._launches[key](count, inputs, outputs, **options)
 
 
 @contextlib.contextmanager
@@ -181,7 +180,7 @@ def recorded_launches() -> Iterator[list[str]]:
 
 
 def kernel_label(kernel: Kernel) -> str:
-    """A kernel's file with its name or that of its variant, such as "tile_order.count_tiles" or "views.shades+part"."""
+    """A kernel's file with its name or that of its variant, such as "tile_order.count_tiles" or "views.shaded+part"."""
     assert isinstance(kernel, wp.Kernel)
     module = kernel.module.name
     has_variants = module != kernel.func.__module__
@@ -267,9 +266,9 @@ class SpareMemory:
         device = self._device
         if device is None:
             return
-        room = max(SPARE_FRAMES * size, MIN_SPARE)
-        wanted, last = wp.get_mempool_used_mem_current(device) + room, release_thresholds.get(device.ordinal, 0)
-        if abs(wanted - last) > room // 2 and wp.get_mempool_release_threshold(device) == last:
+        spare = max(SPARE_FRAMES * size, MIN_SPARE)
+        wanted, last = wp.get_mempool_used_mem_current(device) + spare, release_thresholds.get(device.ordinal, 0)
+        if abs(wanted - last) > spare // 2 and wp.get_mempool_release_threshold(device) == last:
             wp.set_mempool_release_threshold(device, wanted)
             release_thresholds[device.ordinal] = wanted
 
@@ -286,13 +285,13 @@ CHANNELS = 4
 
 HALF_TEXEL_BYTES = 2 * CHANNELS
 
-#: Most texels that CUDA takes along an axis.
+#: Texels along an axis that CUDA takes, at most.
 MAX_TEXELS = 16384
 
 
 def half_texture(shape: tuple[int, int, int], device: wp.DeviceLike) -> wp.Texture3D:
     """A texture of four halves a texel, (depth, height, width) texels, on a CUDA device; its values are not set yet.
-    It is asked by unnormalised coordinates, and blends texels."""
+    It is read at unnormalised coordinates, with linear interpolation."""
     depth, height, width = shape
     return wp.Texture3D(
         width=width,

@@ -1,8 +1,8 @@
 """The kernel files as text: their names (`folder/stem`), what each one needs, and copies that work without warpcage."""
 
-# A copy has the kernel files in folders as here, and in `host/` the modules that launch them, in rooms as in warpcage:
-# both say `from ..x import y`, but that host code finds its kernels one level up. Which modules come along follows from
-# the imports of the call in the README.md of a kernel folder.
+# A copy has the kernel files in folders as here, and in `host/` the modules that launch them, in packages as in
+# warpcage: both import each other by `from ..x import y`, but host code finds its kernels one level up. Which modules
+# are copied follows from the imports of the call in the README.md of a kernel folder.
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import posixpath
 import re
 from collections.abc import Iterable
 
+from ..coordinate_kinds import COORDINATE_KINDS
 from ..errors import InputError
 from ..kernels import __path__ as kernel_folders
 from .checks import warn_caller
@@ -43,6 +44,7 @@ _FORMER = {  # kernel files by the names that they, or parts of them, had before
     "edits/nodes": "deform/map_nodes deform/map_cells",
     "edits/structs": "deform/flat_edits deform/crumbs",
     "edits/trace": "deform/edits deform/points deform/points_precise edits/points_exact",
+    "field/colors": "field/shades",
     "field/grid": "field/samples",
     "field/march": "field/render_shaded field/render",
     "field/march_cpu": "field/render_cpu field/cpu_samples",
@@ -92,7 +94,7 @@ def find_kernel(text: str) -> str:
         found = sorted({new for old, new in MOVED.items() if wanted in (old, _stem(old))})
         if len(found) == 1:
             warn_caller(
-                f"the kernel file {text!r} is a part of {found[0]!r} now: the next version knows that name alone"
+                f"the kernel file {text!r} is a part of {found[0]!r} now: the old name goes with the next version"
             )
     if len(found) > 1:
         raise InputError(f"several kernel files are called {text!r}: {', '.join(found)}")
@@ -203,8 +205,22 @@ def _imports(module: str) -> frozenset[str]:
             base = [*inside[: len(inside) - node.level + 1], *(node.module or "").split(".")]
             found |= _imported(list(filter(None, base)), [alias.name for alias in node.names])
         else:
+            found |= _kind_modules(node)
             waiting += ast.iter_child_nodes(node)
     return frozenset(found)
+
+
+def _kind_modules(node: ast.AST) -> set[str]:
+    """The modules that a call of `CoordinateKind.load` or `kernel_modules` imports, of all kinds."""
+    kinds = COORDINATE_KINDS.values()
+    match node:
+        case ast.Call(func=ast.Attribute(attr="load"), args=[ast.Constant(value=str(field))]):
+            paths = [path for kind in kinds if ":" in (path := str(getattr(kind, field, "")))]
+        case ast.Call(func=ast.Attribute(attr="kernel_modules")):
+            paths = [path for kind in kinds for path in kind.modules]
+        case _:
+            return set()
+    return {path.partition(":")[0].replace(".", "/") for path in paths}
 
 
 def _closure(modules: Iterable[str]) -> set[str]:
@@ -288,6 +304,7 @@ def _host_file(module: str) -> tuple[str, str]:
     assert file is not None, module
     text = file.read_text(encoding="utf-8")
     text = re.sub(r"^(\s*from \.+)kernels\.", r"\1.", text, flags=re.MULTILINE)
+    text = text.replace('"kernels.', '".')  # of coordinate_kinds
     return f"{module}/__init__.py" if file.name == "__init__.py" else f"{module}.py", text
 
 

@@ -1,4 +1,4 @@
-"""The one budget of memory: what can be allocated, work refused before it begins, what was used last kept."""
+"""Free memory: how much there is, refusals of work that needs more, and a cache of bounded size."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ..errors import InputError
 if TYPE_CHECKING:
     import warp as wp
 
-#: What is told where nothing is known: beyond any memory.
+#: Bytes where nothing is known: beyond any memory.
 UNKNOWN = 1 << 62
 
-#: Bytes that nobody asks the system for.
+#: Fewer bytes than this are not checked.
 LITTLE = 1 << 20
 
 #: Limit and use of a control group, and what its statistics call pages of files, which the kernel gives back when it
@@ -37,7 +37,7 @@ def is_shortage(error: BaseException | None) -> bool:
     """Whether an error says that there was not enough memory, or came of one that did."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
-        if isinstance(error, MemoryError | MemoryShortage) or "Failed to allocate" in str(error):  # Warp has only words
+        if isinstance(error, MemoryError | MemoryShortage) or "Failed to allocate" in str(error):  # Warp: no class
             return True
         seen.add(id(error))
         error = error.__cause__ or error.__context__
@@ -52,7 +52,7 @@ def free_bytes(device: wp.Device) -> int:
 def free_host_bytes(root: str = "/") -> int:
     """Bytes of main memory that this process can still allocate; `root` holds proc and sys, for tests."""
     # The least of what the system has free, and what control groups (containers, jobs of a cluster) and the limits of
-    # the process (`ulimit -v` and `-d`) leave. Limits that the system does not tell count as none.
+    # the process (`ulimit -v` and `-d`) leave. Limits that cannot be read count as none.
     base = pathlib.Path(root)
     return max(0, min(_system_bytes(base), *_group_bytes(base), *_process_bytes(base)))
 
@@ -188,7 +188,7 @@ class LRUCache(Generic[Value]):
         if key in self._values:
             self._values.move_to_end(key)
             return self._values[key].value
-        while len(self._values) >= self.most:  # before the new one is made, which needs the room
+        while len(self._values) >= self.most:  # before the new one is made, which needs the memory
             self._drop_oldest()
         value = make()
         self._values[key] = _Kept(value)

@@ -1,4 +1,4 @@
-"""Load modules of kernels: one thread at a time, and anew where the files of the kernel cache are damaged."""
+"""Load modules of kernels: one thread at a time, and again where files of the kernel cache are damaged."""
 
 from __future__ import annotations
 
@@ -19,19 +19,18 @@ from ..errors import StateError
 from ..kernels.core import variants
 from ..package import IS_WHOLE
 from . import reports
-from .locks import device_turn
-from .reports import without_driver_note
-from .threads import cpu_threads
+from .reports import Progress, without_driver_note
+from .threads import cpu_threads, device_turn
 
 #: What `wp.kernel` makes of a function: a wp.Kernel, which type checkers take for the function itself.
 Kernel: TypeAlias = wp.Kernel | Callable[..., Any]
 
 _log = logging.getLogger(__name__)
 
-# Warp prints lines on stdout as it starts and for each module. It is quiet from here on, but for those who ask it,
-# by WARPCAGE_LOG=debug, or by a log level of Warp's own. Programs that have a copy of this module say it themselves.
+# Warp prints lines on stdout as it starts and for each module. They are off from here on, unless WARPCAGE_LOG=debug or
+# a log level of Warp's own is set. Programs with a copy of this module set it themselves.
 reports.start_log()
-if IS_WHOLE and wp.config.log_level == wp.LOG_INFO and reports.asked_level() != "debug":
+if IS_WHOLE and wp.config.log_level == wp.LOG_INFO and reports.requested_level() != "debug":
     wp.config.log_level = wp.LOG_WARNING
 
 
@@ -56,14 +55,16 @@ def start_warp() -> None:
             raise _unwritable(error) from error
 
 
-def load_modules(modules: Iterable[types.ModuleType | Kernel], device: wp.DeviceLike) -> None:
+def load_modules(
+    modules: Iterable[types.ModuleType | Kernel], device: wp.DeviceLike, progress: bool | Progress = False
+) -> None:
     """Compile and load kernel files, or the modules of kernels, side by side; each for the block size that it names."""
     device = wp.get_device(device)
     named = [each.module if isinstance(each, wp.Kernel) else wp.get_module(each.__name__) for each in modules]
     warp_modules = list(dict.fromkeys(named))  # two threads would compile one that is named twice
     with device_turn(device), variants.lock:  # Warp gives modules that two threads load at once the same name
-        _ask_cpu_target()
-        _tell(warp_modules, device)
+        _cache_cpu_target()
+        _report_new(warp_modules, device, progress=progress)
         try:
             wp.force_load(device, warp_modules, max_workers=min(len(warp_modules), cpu_threads()))
         except Exception:
@@ -78,8 +79,8 @@ def require_loaded(kernel: Kernel, device: wp.Device, block_dim: int) -> None:
     if place in loaded_places:
         return
     with device_turn(device), variants.lock:
-        _ask_cpu_target()
-        _tell([kernel.module], device, block_dim)
+        _cache_cpu_target()
+        _report_new([kernel.module], device, block_dim)
         _load(kernel.module, device, place[2])
         loaded_places.add(place)
 
@@ -103,17 +104,19 @@ def _load(module: wp.Module, device: wp.Device, block_dim: int | None) -> None:
         ) from error
 
 
-def _tell(modules: Sequence[wp.Module], device: wp.Device, block_dim: int | None = None) -> None:
-    """Say that modules are about to be compiled, if some of them are not in the cache; block_dim: None is their own."""
-    if reports.say is None and not reports.is_progress_requested() and not _log.isEnabledFor(logging.INFO):
+def _report_new(
+    modules: Sequence[wp.Module], device: wp.Device, block_dim: int | None = None, progress: bool | Progress = False
+) -> None:
+    """Report and log modules that are not in the cache, and are compiled next; block_dim: None is their own."""
+    if reports.on_compiling is None and progress is False and not _log.isEnabledFor(logging.INFO):
         return
     threads = [1 if device.is_cpu else block_dim or module.options["block_dim"] for module in modules]
     new = [
         module.name for module, count in zip(modules, threads, strict=True) if not _cache_folder(module, count).exists()
     ]
     if new:
-        reports.told()
-        reports.report_progress(0, len(new), "compile kernels")
+        reports.report_compiling()
+        reports.report_progress(progress, 0, len(new), "compile kernels")
     _log.info("%s on %s: %s", "compiles kernels" if new else "loads kernels", device, ", ".join(new or _names(modules)))
 
 
@@ -144,13 +147,13 @@ def _removed(folder: pathlib.Path) -> bool:
     return True
 
 
-def _ask_cpu_target() -> None:
-    """Ask Warp for the compiler's version, which it keeps, before threads do."""
+def _cache_cpu_target() -> None:
+    """Get the compiler's version from Warp, which keeps it, before threads do."""
     # Its library writes the answer into one buffer at each call (Warp 1.19): two threads that load their first modules
     # at once may read it half written, and their objects get names that the next process does not find in the cache.
-    ask = getattr(sys.modules.get("warp._src.context"), "_get_cpu_toolchain_version", None)
-    if ask is not None:
-        ask()
+    get_version = getattr(sys.modules.get("warp._src.context"), "_get_cpu_toolchain_version", None)
+    if get_version is not None:
+        get_version()
 
 
 def _forget_lock() -> None:

@@ -1,4 +1,4 @@
-"""Names that options take, each in one place, and words that depend on a number or on an error."""
+"""Names that options take, and texts of messages that depend on a number or on an error."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
+from ..coordinate_kinds import COORDINATE_KINDS, CoordinateKind, Coordinates
 from ..errors import Error, InputError
 
 _Choice = TypeVar("_Choice")
 
-#: Kinds of coordinates, as `coordinates=` takes them.
-Coordinates: TypeAlias = Literal["harmonic", "mean_value", "green"]
-COORDINATES: tuple[str, ...] = get_args(Coordinates)
+#: Kinds of coordinates, as `coordinates=` takes them (coordinate_kinds.py).
+COORDINATES: tuple[str, ...] = tuple(COORDINATE_KINDS)
 
 #: Their defaults: of what poses a field, as the paper has it, and of points, which may lie outside of a cage.
 FIELD_COORDINATES: Coordinates = "harmonic"
@@ -46,20 +46,20 @@ QUALITIES: tuple[str, ...] = get_args(Quality)
 #: Colours behind a picture, by name.
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5)}
 
-#: The word for no background: pictures with opacity.
+#: The name of no background: pictures with opacity.
 TRANSPARENT = "transparent"
 
 #: What may stand behind a field while it is fitted: a new random colour for every ray, an outer field or
 #: background layers that are fitted too, the scene's one colour, or whichever of these the pictures suggest.
 FIT_BACKGROUNDS = ("auto", "outer", "layers", "random", "constant")
 
-#: How the way from a key of a film to the next one goes: one of these words, or a curve of one's own, `CURVE`, whose
-#: numbers are those of CSS's cubic-bezier (`core.checks.checked_easing`).
+#: Easing from one key of a film to the next: one of these names, or a curve, `CURVE`, whose numbers are those of CSS's
+#: cubic-bezier (`core.checks.checked_easing`).
 EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out", "ease-in-out", "bounce", "elastic")
 CURVE = '{"bezier": [x1, y1, x2, y2]}'
 Easing: TypeAlias = str | Mapping[str, Sequence[float]]
 
-#: Moves of a film's camera by name with their amounts where none is given, and how words have them.
+#: Moves of a film's camera by name with their default amounts, and their help.
 MOVES = {"turn": 360.0, "dolly": 0.6, "crane": 25.0, "hand-held": 0.0, "follow": 0.0}
 MOVE_HELP = "turn[:DEGREES], dolly[:SHARE], crane[:DEGREES], hand-held[:SEED] or follow[:PART], several joined by +"
 
@@ -70,11 +70,11 @@ PLANES = ("ground", "wall", "any")
 LOOPS = ("once", "loop", "ping-pong")
 
 
-def require_name(value: object, names: Sequence[str], what: str) -> str:
-    """A value that is one of the names that an option takes; `what` is the option's name."""
-    if not isinstance(value, str) or value not in names:
+def checked_choice(value: object, name: str, choices: Sequence[str]) -> str:
+    """A value that is one of the names that an option takes."""
+    if not isinstance(value, str) or value not in choices:
         got = " ".join(repr(value)[:60].split())
-        raise InputError(f"{what} must be one of {', '.join(names)}, got {got}{meant(value, names)}")
+        raise InputError(f"{name} must be one of {', '.join(choices)}, got {got}{meant(value, choices)}")
     return value
 
 
@@ -88,11 +88,15 @@ def meant(value: object, names: Iterable[str]) -> str:
 
 def chosen(value: object, what: str, **choices: _Choice) -> _Choice:
     """What stands for a name among `choices`, one for each name that the caller can work with; others are refused."""
-    return choices[require_name(value, tuple(choices), what)]
+    return choices[checked_choice(value, what, tuple(choices))]
 
 
-require_coordinates = functools.partial(require_name, names=COORDINATES, what="coordinates")
-require_store = functools.partial(require_name, names=STORES, what="store")
+def coordinate_kind(name: object) -> CoordinateKind:
+    """The kind of coordinates of a name; others are refused."""
+    return COORDINATE_KINDS[checked_choice(name, "coordinates", COORDINATES)]
+
+
+require_store = functools.partial(checked_choice, name="store", choices=STORES)
 
 
 def renamed_keys(content: Any, names: Mapping[str, str] = OLD_KEYS) -> Any:
@@ -119,7 +123,7 @@ def counted(count: int, noun: str, plural: str = "") -> str:
 
 
 def agreed(count: int, one: str, several: str) -> str:
-    """The word of one, such as "is", or that of none or several, such as "are"."""
+    """The singular, such as "is", or the plural, such as "are"."""
     return one if count == 1 else several
 
 

@@ -1,4 +1,4 @@
-"""Work beside work: other threads encode pictures while the next ones are rendered, and only few of them wait."""
+"""Pipelines of threads: pictures are encoded while the next ones are rendered, and only few of them wait."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROOM = 1 << 29
 #: Threads at most: of tasks, such as a PNG file each, and of what is prepared for one encoder.
 TASK_THREADS, PREPARING_THREADS = 16, 4
 
-#: How many items more than threads are taken, so that none of these waits for the next one.
+#: Items that are taken beyond the number of threads, so that no thread waits for the next one.
 SPARE = 2
 
 _Item = TypeVar("_Item")
@@ -39,7 +39,7 @@ class BackgroundWriter:
         self._error: BaseException | None = None
 
     def run(self, task: Callable[[], Any], size: int = 0) -> None:
-        """Hand over a task that holds so many bytes; waits while too many are under way."""
+        """Submit a task that holds so many bytes; waits while too many are unfinished."""
         if self._gate.enter(size):
             self._pool.submit(self._run, task, size)
         else:
@@ -144,7 +144,7 @@ class _Abandoned(Exception):
 
 
 class Gate:
-    """Lets in what there is room for: at most so many items and bytes, but one item whatever it holds."""
+    """Bounds the items and bytes that are in work; one item may be of any size."""
 
     def __init__(self, most: int, room: int = ROOM):
         self._changed = threading.Condition()

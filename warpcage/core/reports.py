@@ -1,9 +1,8 @@
-"""What is said beside results: progress of long work, the logger, a word while kernels compile, no empty notes."""
+"""Output beside results: progress of long work, the logger, a line while kernels compile."""
 
 from __future__ import annotations
 
 import contextlib
-import contextvars
 import ctypes
 import functools
 import inspect
@@ -11,95 +10,97 @@ import os
 import sys
 import tempfile
 import threading
+import types
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeAlias, TypeVar
 
 from ..errors import Cancelled, InputError
 
-#: What `progress=` takes beside True and False: it is told how much is done, of how much, and what is done. Work stops
-#: where it returns False, or raises.
+#: What `progress=` takes beside True and False: a function that is called with how much is done, of how much (0 where
+#: that is not known), and what. Work stops where it returns False, or raises.
 Progress: TypeAlias = Callable[[int, int, str], object]
 
-_listener: contextvars.ContextVar[Progress | None] = contextvars.ContextVar("listener", default=None)
 
+class Reporter:
+    """What a call reports to: the function that its caller gave, or bars on stderr where that is True."""
 
-class _Ended(BaseException):
-    """Carries what a listener raised past all that catches errors on the way, up to the call that took it."""
+    # What the function raised is raised again by each later report and at the end of the call: work that catches
+    # errors on its way goes on to the next report at most.
+    def __init__(self, progress: bool | Progress):
+        self.shows_bars = progress is True
+        self._call: Any = _Bars() if progress is True else progress
+        self.error: Exception | None = None
+        if not callable(self._call):
+            raise InputError(f"progress must be True, False or a function, got {type(progress).__name__}")
 
-    def __init__(self, error: Exception):
-        super().__init__(error)
-        self.error = error
+    def __call__(self, done: int, total: int, message: str) -> None:
+        if self.error is None:
+            import numpy as np  # `warpcage --help` starts without it
 
+            try:
+                answer = self._call(done, total, message)
+                if isinstance(answer, bool | np.bool_) and not answer:  # a comparison of NumPy's numbers is no bool
+                    of = f" of {total}" if total else ""
+                    raise Cancelled(f"{message.partition(':')[0]} was cancelled, {done}{of} done")
+            except Exception as error:
+                self.error = error
+        self.raise_error()
 
-@contextlib.contextmanager
-def progress_scope(progress: bool | Progress | None) -> Iterator[None]:
-    """Report the progress of a block: True shows bars on stderr, a function is called with it.
-    False and None change nothing: a block within another one reports to the listener of that."""
-    if progress is None or progress is False:
-        yield
-        return
-    listener = _Bars() if progress is True else progress
-    if not callable(listener):
-        raise InputError(f"progress must be True, False or a function, got {type(progress).__name__}")
-    token = _listener.set(listener)
-    error: Exception | None = None
-    try:
-        yield
-    except _Ended as ended:
-        error = ended.error
-    finally:
-        _listener.reset(token)
-        if isinstance(listener, _Bars):
-            listener.close()
-    if error is not None:
-        raise error from error.__cause__
+    def raise_error(self) -> None:
+        """Raise what the function raised, if it did."""
+        if self.error is not None:
+            raise self.error from self.error.__cause__
+
+    def close(self) -> None:
+        """End the bar that is shown."""
+        if self.shows_bars:
+            self._call.close()
 
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
 
 def reports_progress(function: Decorated) -> Decorated:
-    """Decorator of a function with an argument `progress`, whose calls are each a `progress_scope` of it."""
+    """Decorator of a function with an argument `progress`: it gets False, or the Reporter of what the caller gave."""
     default = inspect.signature(function).parameters["progress"].default
 
     @functools.wraps(function)
     def reporting(*values: Any, **options: Any) -> Any:
-        with progress_scope(options.get("progress", default)):
-            return function(*values, **options)
+        progress = options.get("progress", default)
+        if progress is None or progress is False or isinstance(progress, Reporter):  # the last: of a call around it
+            return function(*values, **options | {"progress": progress or False})
+        reporter = Reporter(progress)
+        try:
+            result = function(*values, **options | {"progress": reporter})
+        except Exception:
+            reporter.raise_error()
+            raise
+        finally:
+            reporter.close()
+        reporter.raise_error()
+        return result
 
     return reporting  # pyright: ignore[reportReturnType]
 
 
-def is_progress_requested() -> bool:
-    """Whether there is a listener, for work that is done for reports alone."""
-    return _listener.get() is not None
-
-
-def report_progress(done: int, total: int, message: str) -> None:
-    """Report how far work is, `total` 0 where that is not known; raises Cancelled where the listener returned False.
+def report_progress(progress: bool | Progress, done: int, total: int, message: str) -> None:
+    """Report how far work is, `total` 0 where that is not known, to the `progress` that `reports_progress` gave.
     What changes during the work stands behind a colon: "fit: 31.20 dB"."""
-    listener = _listener.get()
-    if listener is None:
-        return
-    import numpy as np  # `warpcage --help` starts without it
+    if not isinstance(progress, bool):
+        progress(done, total, message)
 
-    token = _listener.set(None)  # what the caller does meanwhile is not part of the work
-    try:
-        answer = listener(done, total, message)
-        if isinstance(answer, bool | np.bool_) and not answer:  # a comparison of NumPy's numbers is no bool
-            raise Cancelled(f"{message.partition(':')[0]} was cancelled, {done}{f' of {total}' if total else ''} done")
-    except Exception as error:
-        raise _Ended(error) from None
-    finally:
-        _listener.reset(token)
+
+def shows_bars(progress: bool | Progress) -> bool:
+    """Whether reports are shown as bars on stderr."""
+    return isinstance(progress, Reporter) and progress.shows_bars
 
 
 def bar(total: int | None, what: str, *, done: int = 0, shown: bool = True, stays: bool = True, **options: Any) -> Any:
-    """A bar of tqdm on stderr, `total` None or 0 where it is not known; elsewhere a line each 10 s and one at its end.
-    stays: whether it stands there after it; options: more of tqdm's own."""
+    """A bar of tqdm on stderr, in logs lines; `total` None or 0 where it is not known.
+    stays: whether it is left when it ends; options: more of tqdm's."""
     kind = _bar_kind(sys.stderr.isatty() or "ipykernel" in sys.modules)  # a notebook shows bars, and is no terminal
-    how = {"total": total or None, "initial": done, "desc": what, "disable": not shown, "leave": stays}
-    return kind(file=sys.stderr, **how, **options)
+    options |= {"total": total or None, "initial": done, "desc": what, "disable": not shown, "leave": stays}
+    return kind(file=sys.stderr, **options)
 
 
 def span_text(seconds: float) -> str:
@@ -117,18 +118,11 @@ def say_above_bar(line: str) -> None:
     tqdm.write(f"warpcage: warning: {line}", file=sys.stderr)
 
 
-#: Between two lines of a bar in a log.
+#: Seconds between two lines of a bar in a log.
 LOG_SECONDS = 10.0
 
 
-class _Nowhere:
-    """A file that keeps nothing."""
-
-    def write(self, text: str) -> None:
-        pass
-
-    def flush(self) -> None:
-        pass
+_NOWHERE: Any = types.SimpleNamespace(write=lambda text: None, flush=lambda: None)
 
 
 @functools.cache
@@ -137,11 +131,11 @@ def _bar_kind(terminal: bool) -> Any:
     from tqdm import tqdm
 
     class LineBar(tqdm):
-        """A bar that is drawn nowhere: logs have a line of it each 10 s, and one of its last state."""
+        """A bar of logs: a line each 10 s, and one of its last state."""
 
         def __init__(self, *, file: Any, **options: Any):
             self._log, self._due = file, LOG_SECONDS
-            super().__init__(file=_Nowhere(), **options)
+            super().__init__(file=_NOWHERE, **options)
 
         def display(self, msg: str | None = None, pos: int | None = None) -> bool:
             seen = self.format_dict
@@ -178,8 +172,8 @@ class _Bars:
         self._bar: Any = None
         self._shown: tuple[str, int] | None = None  # what the bar is of
 
-    def __call__(self, done: int, total: int, words: str) -> None:
-        what, _, more = words.partition(": ")
+    def __call__(self, done: int, total: int, message: str) -> None:
+        what, _, more = message.partition(": ")
         if self._shown != (what, total):
             self.close()
             self._bar, self._shown = bar(total, what, done=done), (what, total)
@@ -219,17 +213,17 @@ def show_log(level: str) -> None:
 
 
 def start_log() -> None:
-    """Show what LOG_VARIABLE asks for, where nothing was asked otherwise."""
+    """Show the level of LOG_VARIABLE, where `show_log` was not called."""
     if _shown is None:
-        show_log(asked_level())
+        show_log(requested_level())
 
 
-def asked_level() -> str:
-    """The level that LOG_VARIABLE asks for, "" for none."""
+def requested_level() -> str:
+    """The level in LOG_VARIABLE, "" for none."""
     return os.environ.get(LOG_VARIABLE, "").lower()
 
 
-#: What Warp's native code writes where there is no driver of NVIDIA's, as on every machine without a GPU.
+#: What Warp's native code writes where there is no NVIDIA driver.
 NOTE = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver."
 
 #: Names under which drivers are found.
@@ -240,8 +234,8 @@ _done = threading.Event()
 
 @contextlib.contextmanager
 def without_driver_note() -> Iterator[None]:
-    """Leave the line out of standard error that Warp writes as it starts without a CUDA driver; once in a process."""
-    # Native code writes to the descriptor: that is led into a file for the moment, of which all other lines come back.
+    """Keep a line off standard error that Warp writes as it starts without a CUDA driver; once in a process."""
+    # Native code writes to the descriptor, which is a file for that time; all its other lines are written afterwards.
     if _done.is_set() or has_driver():
         yield
         return
@@ -265,7 +259,7 @@ def without_driver_note() -> Iterator[None]:
 
 
 def has_driver() -> bool:
-    """Whether there is a driver of NVIDIA's."""
+    """Whether there is an NVIDIA driver."""
     for name in _DRIVERS:
         with contextlib.suppress(OSError):
             ctypes.CDLL(name)
@@ -273,13 +267,13 @@ def has_driver() -> bool:
     return False
 
 
-#: Called once, before the first module of kernels of this process is compiled. None says nothing.
-say: Callable[[], object] | None = None
+#: Called once, before the first module of kernels of this process is compiled.
+on_compiling: Callable[[], object] | None = None
 
 
-def told() -> None:
-    """Say it, if nobody has."""
-    global say
-    saying, say = say, None
-    if saying is not None:
-        saying()
+def report_compiling() -> None:
+    """Call `on_compiling`, the first time."""
+    global on_compiling
+    call, on_compiling = on_compiling, None
+    if call is not None:
+        call()

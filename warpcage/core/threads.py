@@ -1,16 +1,20 @@
-"""Python threads that launch parts of a kernel on the CPU."""
+"""Python threads that launch parts of a kernel on the CPU, and locks of devices and of objects that own buffers."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from ..errors import InputError
+
+if TYPE_CHECKING:
+    import warp as wp
 
 #: Environment variable with the number of CPU threads to use, where all cores would be too many.
 THREADS_VARIABLE = "WARPCAGE_THREADS"
@@ -105,7 +109,7 @@ def run_parts(run: Callable[[int, int], None], count: int, threads: int, first: 
 
 
 class _Parts:
-    """Hands out the items of a launch in parts, each by how long the ones before it took."""
+    """Splits the items of a launch into parts, sized by how long the ones before took."""
 
     def __init__(self, count: int, threads: int, first: int):
         self._lock = threading.Lock()
@@ -148,13 +152,13 @@ class _Parts:
             self._size = int(max(self._least, min(self._largest, rate * PART_SECONDS)))
 
     def stop(self) -> None:
-        """Hand out no more."""
+        """Let no further part begin."""
         with self._lock:
             self._next = self._count
 
 
 def _shared_pool() -> ThreadPoolExecutor:
-    """The pool, started by whoever needs it first."""
+    """The pool, started at its first use."""
     global _pool
     with _pool_lock:
         pool = _pool
@@ -178,7 +182,8 @@ class _Batch:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._running, self._stopped = 0, False  # counted: an interrupt in the handing over leaves no future to await
+        # counted: an interrupt while tasks are submitted leaves no future to await
+        self._running, self._stopped = 0, False
 
     def run(self, task: Callable[[], Any]) -> Any:
         with self._changed:
@@ -199,6 +204,42 @@ class _Batch:
             self._changed.wait_for(lambda: self._running == 0)
 
 
+#: What `threading.RLock()` makes: a lock that the thread that holds it may take again.
+Lock: TypeAlias = "contextlib.AbstractContextManager[bool]"
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+_device_locks: dict[int, Lock] = {}
+
+
+def device_turn(device: wp.Device) -> contextlib.AbstractContextManager[object]:
+    """What to hold (`with`) while work for a device is launched: one lock in the process for each CUDA device."""
+    # Warp's current stream and list of captures belong to a CUDA device: another thread's launch would land in this
+    # one's graph, or on a side stream that nothing waits for. Launched work needs no lock. CPU launches share no state.
+    return contextlib.nullcontext() if device.is_cpu else _device_lock(device)
+
+
+def owner_lock(device: wp.Device) -> Lock:
+    """The lock of an object that owns buffers on a device: its own on the CPU, `device_turn` on CUDA."""
+    # On the CPU threads with an object each do not wait; on CUDA two locks could make two threads wait for ever.
+    return threading.RLock() if device.is_cpu else _device_lock(device)
+
+
+def in_turn(method: _Method) -> _Method:
+    """Let a method of an object with a `device` hold `device_turn` of it."""
+
+    @functools.wraps(method)
+    def turn(self: Any, *args: Any, **options: Any) -> Any:
+        with device_turn(self.device):
+            return method(self, *args, **options)
+
+    return turn  # pyright: ignore[reportReturnType]
+
+
+def _device_lock(device: wp.Device) -> Lock:
+    return _device_locks.setdefault(device.ordinal, threading.RLock())
+
+
 def _forget_pool() -> None:
     """Start another pool with the next tasks; those that are under way end in the old one."""
     global _pool
@@ -207,9 +248,10 @@ def _forget_pool() -> None:
 
 
 def _begin_child() -> None:
-    """A forked process has the pool without its threads: tasks would wait in it for ever, and the lock may be held."""
+    """A forked process lacks the threads of the pool, and those that may hold a lock: tasks would wait for ever."""
     global _pool, _pool_lock
     _pool, _pool_lock = None, threading.Lock()
+    _device_locks.clear()
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork

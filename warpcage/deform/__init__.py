@@ -1,4 +1,4 @@
-"""Deformed fields: the Deformer, edits and baking."""
+"""Deformed fields: the Deformer, baking, and stages of several objects."""
 
 from ..package import lazy_exports
 

@@ -1,17 +1,18 @@
-"""What a Deformer deforms: a field of voxels or of splats on its device, with the pose that is in its buffers."""
+"""Backends of a Deformer, one for each kind of field: they hold one pose in their buffers, and render it."""
 
 from __future__ import annotations
 
 import abc
 import dataclasses
 import functools
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
 from ..cage.cage import Cage
+from ..coordinate_kinds import names_where
 from ..coordinates.coordinates import deform_points
-from ..core.checks import checked_flag
+from ..core.checks import require_type
 from ..core.names import (
     DENSITIES,
     SPLAT_MAPS,
@@ -19,17 +20,18 @@ from ..core.names import (
     Density,
     SplatMap,
     Store,
+    checked_choice,
     chosen,
-    require_coordinates,
-    require_name,
+    coordinate_kind,
     require_store,
 )
+from ..core.reports import Progress
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import found_fragments
 from ..edits.maps import EditLattices
 from ..errors import InputError
-from ..field.render import asked_view
+from ..field.render import NEW_TARGET, RenderOptions, RenderTarget, field_view
 from ..field.voxel_field import VoxelField
 from ..kernels.render import samples
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
@@ -49,6 +51,21 @@ from .exact import ExactEdits
 from .poses import canonical_points, checked_poses, posed_samples
 from .splat_edits import SplatEdits
 
+#: The posed cages, one per edit, None for one that removes.
+Cages: TypeAlias = list[Cage | None]
+
+#: What a Deformer poses.
+Deformable: TypeAlias = VoxelField | SplatField | SampledField | SurfaceMesh
+
+if TYPE_CHECKING:
+    import typing_extensions  # of the type checker
+
+    # the default lets annotations of callers be plain `Deformer`
+    FieldT = typing_extensions.TypeVar("FieldT", bound=Deformable, default=Any)
+    EditsT = typing_extensions.TypeVar("EditsT", bound="PosedEdits | SplatEdits | MeshEdits", default=Any)
+else:
+    FieldT, EditsT = TypeVar("FieldT"), TypeVar("EditsT")
+
 
 @dataclasses.dataclass(frozen=True)
 class MapOptions:
@@ -61,17 +78,17 @@ class MapOptions:
     map: SplatMap | None
 
 
-class Backend(abc.ABC):
+class Backend(abc.ABC, Generic[FieldT, EditsT]):
     """A field that cages deform; its buffers hold one pose at a time, for callers that take turns."""
 
     kind: ClassVar[type]  # of the field
     masks: ClassVar[tuple[str, ...]] = ()  # of its frames
     bands: list[FalloffBand | None]  # of each edit
-    posed: Any  # the edits on the device, with a pose in their buffers
+    posed: EditsT  # on the device, with a pose in their buffers
 
-    def __init__(self, field: Any, edits: list[CageEdit], options: MapOptions):
+    def __init__(self, field: FieldT, edits: list[CageEdit], options: MapOptions, progress: bool | Progress = False):
         self.field, self.edits, self.device, self.options = field, edits, field.device, options
-        self._held: list[Cage | None] | None = None  # the pose that is in the buffers
+        self._held: Cages | None = None  # the pose that is in the buffers
         self._spans: list[float] = []  # of its cages
         self._order = StreamOrder(self.device)
         self._order.follow()
@@ -81,11 +98,11 @@ class Backend(abc.ABC):
     def check(cls, options: MapOptions) -> None:
         """Refuse options that this kind of field does not have."""
 
-    def checked(self, deformed: Any) -> list[Cage | None]:
+    def checked(self, deformed: Any) -> Cages:
         """The cages of a pose as callers give it, one per edit."""
         return checked_poses(self.edits, self.bands, deformed)
 
-    def hold(self, cages: list[Cage | None]) -> Any:
+    def hold(self, cages: Cages) -> EditsT:
         """The edits with this pose in their buffers, computed where another one is there."""
         self._order.follow()  # poses and frames of other streams share the buffers
         if self._held is not cages:
@@ -95,24 +112,25 @@ class Backend(abc.ABC):
         return self.posed
 
     @abc.abstractmethod
-    def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
-        """The view of a camera in a pose; how: background, step, supersampling and antialias as `Deformer.render` has
-        them, target: `into` and `is_again` as a FieldView has them."""
+    def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
+        """The view of a camera in a pose."""
 
-    def to_canonical(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, ...]:
-        """Where points of a pose are at rest; asked: points, directions, step, return_outside."""
+    def to_canonical(
+        self, cages: Cages, points: Any, directions: Any, step: float | None, return_outside: bool
+    ) -> tuple[Any, ...]:
+        """Where points of a pose are at rest, see `Deformer.to_canonical`."""
         raise InputError(
-            "to_canonical looks points up backward, as voxels are: splats move forward, and meshes do; take "
+            "to_canonical looks points up backward, as only voxels do: splats move forward, as meshes do; use "
             "deform_points for points, or posed_splats for the splats themselves"
         )
 
-    def sample(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, Any]:
-        """Colour and density of the posed scene; asked: points, directions, step."""
+    def sample(self, cages: Cages, points: Any, directions: Any, step: float | None) -> tuple[Any, Any]:
+        """Colour and density of the posed scene, see `Deformer.sample`."""
         raise InputError(
-            "splats and meshes have no density at points: render them, or take posed_splats for the splats themselves"
+            "splats and meshes have no density at points: render them, or use posed_splats for the splats themselves"
         )
 
-    def reached(self, cages: list[Cage | None]) -> np.ndarray:
+    def reached(self, cages: Cages) -> np.ndarray:
         """(2, 3) box of all that the field and its posed cages reach, world units."""
         boxes = [self.field.bounds, *(cage.bounds for cage in cages if cage is not None)]
         reached = np.stack([*boxes, *self._carried_boxes()])
@@ -123,13 +141,46 @@ class Backend(abc.ABC):
         return []
 
 
-class VoxelBackend(Backend):
-    """Voxels, which are looked up backward: where each place of the deformed scene comes from."""
+LookupT = TypeVar("LookupT", VoxelField, SampledField)
+
+
+class LookupBackend(Backend[LookupT, PosedEdits]):
+    """A field that is looked up backward: where each place of the deformed scene comes from."""
+
+    @property
+    def arc_opacity(self) -> int:
+        """1 where optical depth is in canonical arc length."""
+        return chosen(self.options.density, "density", opacity=1, paper=0)
+
+    @classmethod
+    def check(cls, options: MapOptions) -> None:
+        if options.map not in (None, "backward"):
+            raise InputError(f'map={options.map!r} is for splats: voxels are looked up backward, "backward" or None')
+        kind = coordinate_kind(options.coordinates)
+        checked_choice(options.density, "density", DENSITIES)
+        if options.resolution is None:
+            kind.require_precise(f"give a resolution, or {' or '.join(names_where('is_precise'))}")
+        require_store(options.store)
+        if options.resolution is None and options.store != "map":
+            raise InputError('store="weights" keeps weights on a lattice: give a resolution')
+
+    def to_canonical(
+        self, cages: Cages, points: Any, directions: Any, step: float | None, return_outside: bool
+    ) -> tuple[Any, ...]:
+        return canonical_points(self.field, self.hold(cages), points, directions, step, return_outside)
+
+    def sample(self, cages: Cages, points: Any, directions: Any, step: float | None) -> tuple[Any, Any]:
+        return posed_samples(self.field, self.hold(cages), points, directions, step, is_arc=self.arc_opacity == 1)
+
+
+class VoxelBackend(LookupBackend[VoxelField]):
+    """Voxels."""
 
     kind, masks = VoxelField, MASK_NAMES
-    posed: PosedEdits
 
-    def __init__(self, field: VoxelField, edits: list[CageEdit], options: MapOptions):
+    def __init__(
+        self, field: VoxelField, edits: list[CageEdit], options: MapOptions, progress: bool | Progress = False
+    ):
         super().__init__(field, edits, options)
         origin, device, coordinates = field.center, field.device, options.coordinates
         self.bands = [FalloffBand(edit, field) if edit.falloff > 0.0 else None for edit in edits]
@@ -137,108 +188,85 @@ class VoxelBackend(Backend):
         if options.resolution is None:
             self.posed = ExactEdits(edits, coordinates, origin, device, self.bands, self._carried)
         else:
-            load_pose_modules(coordinates, render_modules(device, len(edits), any(self._carried)), device)
+            load_pose_modules(coordinates, render_modules(device, len(edits), any(self._carried)), device, progress)
             kept = options.store, self.bands, self._carried
             scene = PosedScene(EditLattices(edits, coordinates, options.resolution, origin, device, *kept))
             scene.warm(field)
             self.posed = scene
 
-    @classmethod
-    def check(cls, options: MapOptions) -> None:
-        if options.map not in (None, "backward"):
-            raise InputError(f'map={options.map!r} is for splats: voxels are looked up backward, "backward" or None')
-        require_coordinates(options.coordinates)
-        require_name(options.density, DENSITIES, "density")
-        if options.resolution is None and options.coordinates == "harmonic":
-            raise InputError("harmonic coordinates have no closed form: give a resolution, or mean_value or green")
-        require_store(options.store)
-        if options.resolution is None and options.store != "map":
-            raise InputError('store="weights" keeps weights on a lattice: give a resolution')
-
-    def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
-        background, step, supersampling = _marched(how)
-        view = asked_view(self.field, camera, background, step, supersampling, masks=MASK_NAMES, **target)
+    def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
+        _refuse_antialias(options)
+        view = field_view(self.field, camera, options, MASK_NAMES, target)
         posed = self.hold(cages)
         require_short_march(self._spans, view.step)
         return posed.render(view, self.arc_opacity)
-
-    @property
-    def arc_opacity(self) -> int:
-        """1 where optical depth is in canonical arc length."""
-        return chosen(self.options.density, "density", opacity=1, paper=0)
-
-    def to_canonical(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, ...]:
-        return canonical_points(self.field, self.hold(cages), *asked)
-
-    def sample(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, Any]:
-        return posed_samples(self.field, self.hold(cages), *asked, is_arc=self.arc_opacity == 1)
 
     def _carried_boxes(self) -> list[np.ndarray]:
         return [each.bounds for each in self._carried if each is not None and each.bounds is not None]
 
 
-def _marched(how: tuple[Any, ...]) -> tuple[Any, Any, Any]:
-    """Background, step and supersampling of a view that is marched; how: as `Backend.render` has it."""
-    background, step, supersampling, antialias = how
-    if antialias is not None and checked_flag(antialias, "antialias"):
+def _refuse_antialias(options: RenderOptions) -> None:
+    """Refuse antialiasing of what is marched through."""
+    if options.antialias:
         raise InputError("antialias is for splats: voxels take more rays a pixel (supersampling)")
-    return background, step, supersampling
 
 
-class SampledBackend(VoxelBackend):
-    """A field of another representation, which is looked up as voxels are and asked for its samples."""
+class SampledBackend(LookupBackend[SampledField]):
+    """A field of another representation, whose samples its function returns."""
 
-    kind, masks = SampledField, ()
+    kind = SampledField
 
-    def __init__(self, field: SampledField, edits: list[CageEdit], options: MapOptions):
+    def __init__(
+        self, field: SampledField, edits: list[CageEdit], options: MapOptions, progress: bool | Progress = False
+    ):
         if any(edit.falloff > 0.0 or edit.fragments > 0.0 for edit in edits):
             raise InputError("falloff and fragments of an edit are for voxels, not for a SampledField")
-        Backend.__init__(self, field, edits, options)
+        super().__init__(field, edits, options)
         self.bands = list[FalloffBand | None]([None] * len(edits))
-        self._carried = []
         origin, device = field.center, field.device
         if options.resolution is None:
             self.posed = ExactEdits(edits, options.coordinates, origin, device)
         else:
-            load_pose_modules(options.coordinates, [samples], device)
+            load_pose_modules(options.coordinates, [samples], device, progress)
             lattices = EditLattices(edits, options.coordinates, options.resolution, origin, device, options.store)
             self.posed = PosedScene(lattices)
 
-    def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
-        asked = _marched(how)
+    def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
+        _refuse_antialias(options)
         self.hold(cages)
-        require_short_march(self._spans, self.field.step if asked[1] is None else asked[1])
-        ask = functools.partial(self.sample, cages)
-        return render_samples(ask, self.field, self.reached(cages), camera, asked, target.get("into"))
+        require_short_march(self._spans, self.field.step if options.step is None else options.step)
+        sample = functools.partial(self.sample, cages)
+        return render_samples(sample, self.field, self.reached(cages), camera, options, target)
 
 
-class SplatBackend(Backend):
+class SplatBackend(Backend[SplatField, SplatEdits]):
     """Splats, which are matter and move forward."""
 
     kind = SplatField
-    posed: SplatEdits
 
-    def __init__(self, field: SplatField, edits: list[CageEdit], options: MapOptions):
+    def __init__(
+        self, field: SplatField, edits: list[CageEdit], options: MapOptions, progress: bool | Progress = False
+    ):
         if any(edit.fragments > 0.0 for edit in edits):
             raise InputError("fragments are for voxels: splats of a part that hang over its wall go by their shares")
         super().__init__(field, edits, options)
         self.bands = [splat_band(field, edit) if edit.falloff > 0.0 else None for edit in edits]
         law = chosen(options.density, "density", opacity=LAW_RAYS, paper=LAW_DENSITY)
-        how = options.coordinates, options.resolution, law, options.map == "backward"
-        self.posed = SplatEdits(field, edits, *how, self.bands)
+        is_backward = options.map == "backward"
+        self.posed = SplatEdits(
+            field, edits, options.coordinates, options.resolution, law, is_backward, self.bands, progress
+        )
 
     @classmethod
     def check(cls, options: MapOptions) -> None:
         _check_forward(options)
         if options.map is not None:
-            require_name(options.map, SPLAT_MAPS, "map")
+            checked_choice(options.map, "map", SPLAT_MAPS)
 
-    def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
-        background, step, supersampling, antialias = how
-        if step is not None:
+    def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
+        if options.step is not None:
             raise InputError("splats are not marched through: leave step out")
-        splats = self.hold(cages).posed
-        return render_field(self.field, splats, camera, background, supersampling, antialias, target.get("into"))
+        return render_field(self.field, self.hold(cages).posed, camera, options, target)
 
 
 def splat_band(field: SplatField, edit: CageEdit) -> FalloffBand:
@@ -250,9 +278,9 @@ def splat_band(field: SplatField, edit: CageEdit) -> FalloffBand:
 
 
 def _check_forward(options: MapOptions) -> None:
-    """Refuse options that nothing has which moves forward."""
-    require_coordinates(options.coordinates)
-    require_name(options.density, DENSITIES, "density")
+    """Refuse options that only fields which are looked up have."""
+    coordinate_kind(options.coordinates)
+    checked_choice(options.density, "density", DENSITIES)
     if options.store != "map":
         raise InputError(f'splats and meshes keep no lattice: store must be "map", got {options.store!r}')
 
@@ -264,7 +292,7 @@ class MeshEdits:
         self.rest, self.mesh, self._edits, self._coordinates = mesh, mesh, edits, coordinates
         self._inside: np.ndarray | None = None  # (v,) bool, of the first cage, which finds the mesh at rest
 
-    def pose(self, cages: list[Cage | None]) -> None:
+    def pose(self, cages: Cages) -> None:
         """Move the vertices. A face is copied or removed where all of its corners are in the cage."""
         surface, device = self.rest.surface, self.rest.device
         faces, rows = np.arange(len(surface.faces)), np.arange(len(surface.vertices))  # what is left of them at rest
@@ -296,13 +324,14 @@ class MeshEdits:
         self.mesh = self.rest._chosen(places, corners, rows, faces)
 
 
-class MeshBackend(Backend):
+class MeshBackend(Backend[SurfaceMesh, MeshEdits]):
     """Triangles, whose vertices move forward."""
 
     kind = SurfaceMesh
-    posed: MeshEdits
 
-    def __init__(self, field: SurfaceMesh, edits: list[CageEdit], options: MapOptions):
+    def __init__(
+        self, field: SurfaceMesh, edits: list[CageEdit], options: MapOptions, progress: bool | Progress = False
+    ):
         if any(edit.falloff > 0.0 or edit.fragments > 0.0 for edit in edits):
             raise InputError("falloff and fragments of an edit are for fields: a vertex of a mesh goes with its cage")
         super().__init__(field, edits, options)
@@ -315,11 +344,23 @@ class MeshBackend(Backend):
         if options.map not in (None, "forward"):
             raise InputError(f'vertices of a mesh move forward: map must be "forward" or None, got {options.map!r}')
 
-    def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
-        background, step, supersampling, antialias = how
-        if step is not None or antialias is not None:
+    def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
+        if options.step is not None or options.antialias is not None:
             raise InputError("step is for voxels and antialias for splats: meshes take more rays (supersampling)")
-        return self.hold(cages).mesh._render(camera, background, supersampling, target.get("into"))
+        return self.hold(cages).mesh._render(camera, options, target)
 
     def _carried_boxes(self) -> list[np.ndarray]:
         return [self.posed.mesh.bounds]
+
+
+AnyBackend: TypeAlias = Backend[Any, Any]
+
+#: One for each kind of field.
+BACKENDS: tuple[type[AnyBackend], ...] = (VoxelBackend, SplatBackend, SampledBackend, MeshBackend)
+
+
+def backend_of(field: Deformable) -> type[AnyBackend]:
+    """The backend of a field."""
+    found = next((backend for backend in BACKENDS if isinstance(field, backend.kind)), VoxelBackend)
+    require_type(field, found.kind, "a Deformer needs")
+    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 import warp as wp
@@ -20,7 +20,7 @@ from ..field.voxel_field import VoxelField
 from ..kernels.edits.bake import bake_nodes, mark_filled_nodes
 from ..render.scene import PosedScene
 from ..splats.splat_field import SplatField
-from .deformer import Deformer, SplatDeformer
+from .deformer import Deformer
 
 #: Cells of the lattice that stands in for a Deformer without one.
 STAND_IN_RESOLUTION = 128
@@ -33,11 +33,23 @@ MIN_RESOLUTION, MAX_RESOLUTION = 2, 2048
 
 
 @overload
-def bake(deformer: SplatDeformer, *, progress: bool | Progress = ...) -> SplatField: ...
+def bake(deformer: Deformer[SplatField], *, progress: bool | Progress = ...) -> SplatField: ...
 @overload
 def bake(
-    deformer: Deformer, resolution: int | None = ..., bounds: ArrayLike | None = ..., *, progress: bool | Progress = ...
+    deformer: Deformer[VoxelField],
+    resolution: int | None = ...,
+    bounds: ArrayLike | None = ...,
+    *,
+    progress: bool | Progress = ...,
 ) -> VoxelField: ...
+@overload
+def bake(
+    deformer: Deformer[Any],
+    resolution: int | None = ...,
+    bounds: ArrayLike | None = ...,
+    *,
+    progress: bool | Progress = ...,
+) -> VoxelField | SplatField: ...
 @reports_progress
 def bake(
     deformer: Deformer,
@@ -48,7 +60,7 @@ def bake(
 ) -> VoxelField | SplatField:
     """The deformed scene as a field that needs no cage: voxels resampled, which render faster; splats as they are.
 
-    Of splats see `SplatDeformer.baked`; the rest is about voxels, which are saved in any format.
+    For splats see `Deformer.baked`; the rest is about voxels, which are saved in any format.
 
     The new field's bounds are the box of what is found; backgrounds, `up` and supersampling are the source's, and it
     has no training rays' weights. Harmonics are turned by the rotation of the map's Jacobian (polar decomposition),
@@ -65,8 +77,8 @@ def bake(
         resolution: Voxels along the longest side of `bounds`. None, as splats need it, takes voxels whose side is the
             smallest side of the field's voxels.
         bounds: (2, 3) box to look in, world units. None is all that the field and the deformed cages reach.
-        progress: True shows a bar on stderr. A function is told (done, total, words), in stages, and ends the work by
-            returning False or by raising.
+        progress: True shows a bar on stderr. A function is called with (done, total, message), in stages, and cancels
+            the work by returning False or by raising.
 
     Returns:
         The baked field, on the Deformer's device.
@@ -76,18 +88,20 @@ def bake(
         Cancelled: Where `progress` returned False.
     """
     require_type(deformer, Deformer, "bake needs")
-    if isinstance(deformer, SplatDeformer):
+    if isinstance(deformer.field, SplatField):
         if resolution is not None or bounds is not None:
             raise InputError("splats are baked one by one: leave resolution and bounds out")
         return deformer.baked()
     require_type(deformer.field, VoxelField, "bake needs a Deformer of")
     with deformer.lock:
-        return _baked(deformer, resolution, bounds)
+        return _baked(deformer, resolution, bounds, progress)
 
 
-def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None) -> VoxelField:
+def _baked(
+    deformer: Deformer[VoxelField], resolution: int | None, bounds: ArrayLike | None, progress: bool | Progress
+) -> VoxelField:
     """`bake`, while the pose stays."""
-    report_progress(0, 3, "bake: the pose")
+    report_progress(progress, 0, 3, "bake: the pose")
     edits, field, device = lattice_edits(deformer), deformer.field, deformer.device
     searched = deformer.reached_bounds if bounds is None else checked_bounds(bounds)
     side = float(field.voxel_size.min())
@@ -98,7 +112,7 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
     need = f"looking through {' x '.join(map(str, shape))} voxels needs {{size}}: give a lower resolution or bounds"
     require_memory(NODE_BYTES * int(np.prod(shape, dtype=np.int64)), device, need)
 
-    report_progress(1, 3, "bake: search")
+    report_progress(progress, 1, 3, "bake: search")
     spacing = wp.vec3(side, side, side)
     lower = searched[0] + 0.5 * side  # of the first voxel's centre
     mask = empty_array(tuple(int(n) for n in shape), wp.uint8, device)
@@ -109,7 +123,7 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
     mask = wp.array(np.ascontiguousarray(filled[tuple(map(slice, begin, end))]), dtype=wp.uint8, device=device)
     lower = lower + begin * side
 
-    report_progress(2, 3, "bake: voxels")
+    report_progress(progress, 2, 3, "bake: voxels")
     links, nodes = link_mask(mask)
     require_memory(VOXEL_BYTES * nodes.size, device, f"{nodes.size} voxels need {{size}}: give a lower resolution")
     density = empty_array(nodes.size, wp.float32, device)
@@ -124,7 +138,7 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
         chosen(deformer.density, "density", opacity=1, paper=0),
     ]
     launch(bake_nodes, nodes.size, inputs, [density, sh], device=device)
-    report_progress(3, 3, "bake: done")
+    report_progress(progress, 3, 3, "bake: done")
     corner = lower - 0.5 * side
     return VoxelField(
         [corner, corner + side * np.array(mask.shape)], links, density, sh, device=device, **field.view_options()

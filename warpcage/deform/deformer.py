@@ -1,13 +1,11 @@
-"""Deformer: a radiance field as posed cages deform it, of voxels or of Gaussian splats."""
+"""Deformer: a field or mesh as posed cages deform it, and its poses, which render."""
 
 from __future__ import annotations
 
-import inspect
 import os
 import pathlib
-import re
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, cast, overload
+from typing import TYPE_CHECKING, Any, Generic, cast, overload
 
 import numpy as np
 import warp as wp
@@ -15,69 +13,115 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import PointsLike
-from ..core.checks import checked_path, checked_whole, require_type
+from ..core.checks import checked_whole
 from ..core.devices import HeldOnDevice, resolve_device
-from ..core.locks import owner_lock
 from ..core.names import FIELD_COORDINATES, Coordinates, Density, SplatMap, Store
 from ..core.reports import Progress, reports_progress
+from ..core.threads import owner_lock
 from ..edits.edits import checked_edits
 from ..errors import InputError
-from ..field.voxel_field import VoxelField
+from ..field.render import RenderOptions
 from ..mesh.validity import is_usable
-from ..render.sampled import SampledField
-from ..render.surface_mesh import SurfaceMesh
 from ..render.view import PosedEdits
-from ..splats.io.formats import format_to_write
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import Frame, Frames
-from .backends import Backend, MapOptions, MeshBackend, SampledBackend, SplatBackend, VoxelBackend
-from .posed import PosedDeformer
-from .poses import DeformerOptions, PoseLike, RestLike, inverse_error
-from .splat_baking import baked_field, numbered_files, warn_of_others
+from .backends import AnyBackend, FieldT, MapOptions, backend_of
+from .poses import PoseLike, RestLike, inverse_error
+from .splat_baking import baked_field, write_sequence
 from .views import ViewOptions, render_pose, render_poses
 
 if TYPE_CHECKING:
     from typing_extensions import Self, Unpack  # of the type checker
 
 
-#: What a Deformer poses.
-Deformable: TypeAlias = VoxelField | SplatField | SampledField | SurfaceMesh
+class PosedDeformer(Generic[FieldT]):
+    """One pose of a Deformer, which renders; see `Deformer.posed`."""
+
+    def __init__(self, deformer: Deformer[FieldT], cages: list[Cage | None]):
+        self.deformer, self.deformed = deformer, cages  # posed cages, one per edit, None for one that removes
+
+    def to_canonical(
+        self, points: Any, directions: Any, *, step: float | None = None, return_outside: bool = False
+    ) -> tuple[Any, ...]:
+        """Where points (n, 3) of the deformed scene, world units, are in the canonical one; see
+        `Deformer.to_canonical`."""
+        shared = self.deformer
+        with shared.lock:
+            return shared._backend.to_canonical(self.deformed, points, directions, step, return_outside)
+
+    def sample(self, points: Any, directions: Any, *, step: float | None = None) -> tuple[Any, Any]:
+        """Colour and density of the scene in this pose at points (n, 3), world units; see `Deformer.sample`."""
+        shared = self.deformer
+        with shared.lock:
+            return shared._backend.sample(self.deformed, points, directions, step)
+
+    @overload
+    def render(self, camera: Camera, **options: Unpack[ViewOptions]) -> Frame: ...
+    @overload
+    def render(self, camera: Sequence[Camera], **options: Unpack[ViewOptions]) -> Frames: ...
+    def render(
+        self,
+        camera: Camera | Sequence[Camera],
+        *,
+        background: str | ArrayLike | None = None,
+        step: float | None = None,
+        supersampling: int | None = None,
+        antialias: bool | None = None,
+        outputs: str | Sequence[str] = (),
+        flow_pose: PoseLike | Sequence[PoseLike | None] | None = None,
+        flow_camera: Camera | Sequence[Camera] | None = None,
+    ) -> Frame | Frames:
+        """The view of a camera, or those of several, of the scene in this pose; see `Deformer.render`."""
+        shared, options = self.deformer, RenderOptions(background, supersampling, antialias, step)
+        with shared.lock:
+            return render_pose(shared._backend, self.deformed, camera, options, outputs, flow_pose, flow_camera)
 
 
-class Deformer(HeldOnDevice):
-    """A radiance field as cages deform it: voxels, or splats (see `SplatDeformer`, which this makes of a SplatField).
+class Deformer(HeldOnDevice, Generic[FieldT]):
+    """A radiance field or a mesh, deformed by cages.
 
     Before the first `pose` the cages are at rest: the deformed scene is the field itself. Any thread may use it;
-    threads that share one and each want a pose of their own take `posed` (docs/threads.md).
+    threads that share one take a pose each by `posed` (docs/threads.md).
 
-    References: Xu and Harada, "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 3-5, section 4.1.
+    Voxels are looked up backward, from the posed scene to the one at rest. Splats move forward: each is bound to the
+    cage at rest once, and a pose is one weighted sum a splat. Covariances follow by the map's Jacobian, J S J^T;
+    harmonics turn by the rotation nearest to J; a splat that the pose bends is drawn in pieces; one at the wall of a
+    cage moves and stays by its shares (docs/splats.md).
+
+    References: Xu and Harada, "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 3-5, section 4.1; coordinates of
+    Joshi et al. 2007, Ju et al. 2005 and Lipman et al. 2008.
     Limitations: what a map sends out of its rest cage is left empty (`Frame.outside` counts it), and what a moved cage
-    uncovers was never seen by a camera (`Frame.reveal`).
+    uncovers was never seen by a camera (`Frame.reveal`). A splat that an edit moves is carried through later edits as
+    its centre goes, on a lattice; fragments of edits are for voxels.
 
     Example::
 
         cage = Cage.from_field(field)
         frame = Deformer(field, cage).pose(cage.twist(60)).render(camera)
+        Deformer(SplatField.load("scene.ply"), cage).pose(cage.bend(40)).baked().save("bent.ply")
 
     Args:
-        field: The radiance field: a VoxelField, a SplatField, or a SampledField of any other representation; or a
-            SurfaceMesh, whose vertices go with the cages that they are in, as `deform_points` moves them.
+        field: A VoxelField, a SplatField, or a SampledField of any other representation; or a SurfaceMesh, whose
+            vertices go with the cages that they are in, as `deform_points` moves them.
         rest: A Cage around what is to be deformed, as it is in the field; or a list of Cage or CageEdit, each of which
             acts on the scene that the ones before it left.
         coordinates: "harmonic", "mean_value" or "green". The default is harmonic, as in the paper; `deform_points` has
-            mean value, and moves points otherwise than this: name one kind in both.
+            mean value: name one kind in both for the same map.
         resolution: Cells of the map's lattice along the longest side of a cage. None evaluates mean value or Green
-            coordinates at every sample, which is slow: the paper's "precise".
+            coordinates at every sample, which is slow: the paper's "precise". For splats None is 128; they need no
+            lattice for one edit with mean value or Green coordinates.
         density: "opacity" takes optical depth in canonical arc length, sigma |phi(x + dt d) - phi(x)|, so that a part
-            keeps its opacity when it is scaled. "paper" keeps sigma as Eq. 5 has it.
+            keeps its opacity when it is scaled; a splat stays as opaque to a ray that goes along. "paper" keeps sigma
+            as Eq. 5 has it; the optical depth of a splat grows with its stretch (root mean square over directions).
         device: Warp device. None is the field's.
         store: "map" keeps the positions that the weights lead to on the lattice. "weights" keeps the weights
-            themselves, as the paper does: many times the memory for the same picture.
-        map: Splats only: "forward" moves them by the coordinates of the cage at rest, "backward" puts them where the
-            voxels' map finds them. None is the field's own way: voxels are always looked up backward.
-        progress: True shows bars on stderr. A function is told (done, total, words) while splats are bound or kernels
-            compiled, and ends that by returning False or by raising.
+            themselves, as the paper does: many times the memory for the same picture. Voxels only.
+        map: Splats only: "forward" moves them by the coordinates of the cage at rest, "backward" puts them where voxels
+            under the same cages would be (Newton's method on lattices of the posed cages). None is forward for splats
+            and meshes, backward for the rest.
+        progress: True shows bars on stderr. A function is called with (done, total, message) while splats are
+            bound or kernels compiled, and cancels that by returning False or by raising.
 
     Raises:
         ValueError: For names that do not exist, harmonic coordinates without a lattice, or a cage that cannot be used.
@@ -97,35 +141,10 @@ class Deformer(HeldOnDevice):
             reads `posed_edits()`.
     """
 
-    if TYPE_CHECKING:
-
-        @overload
-        def __new__(cls, field: SplatField, rest: RestLike, **options: Unpack[DeformerOptions]) -> SplatDeformer: ...
-        @overload
-        def __new__(
-            cls, field: VoxelField | SampledField | SurfaceMesh, rest: RestLike, **options: Unpack[DeformerOptions]
-        ) -> Self: ...
-        @overload
-        def __new__(cls, field: Deformable, rest: RestLike, **options: Unpack[DeformerOptions]) -> Deformer: ...
-
-    field: VoxelField
-    _backends: ClassVar[tuple[type[Backend], ...]] = (VoxelBackend, SplatBackend, SampledBackend, MeshBackend)
-    _kinds: ClassVar[dict[type, type]] = {}  # of Deformers that have more to say of a kind of field
-
-    def __init_subclass__(cls, of: type[Backend] | None = None, **options: Any):
-        super().__init_subclass__(**options)
-        if of is not None:
-            cls._backends = (of,)
-            Deformer._kinds[of.kind] = cls
-
-    def __new__(cls, field: Any, *args: Any, **options: Any) -> Any:
-        known = Deformer._kinds.items() if cls is Deformer else ()
-        return object.__new__(next((kind for of, kind in known if isinstance(field, of)), cls))
-
     @reports_progress
     def __init__(
         self,
-        field: Deformable,
+        field: FieldT,
         rest: RestLike,
         *,
         coordinates: Coordinates = FIELD_COORDINATES,
@@ -136,13 +155,12 @@ class Deformer(HeldOnDevice):
         map: SplatMap | None = None,
         progress: bool | Progress = False,
     ):
-        backend = next((each for each in self._backends if isinstance(field, each.kind)), self._backends[0])
-        require_type(field, backend.kind, f"a {type(self).__name__} needs")
-        asked = MapOptions(coordinates, resolution, density, store, map)
-        backend.check(asked)
+        kind = backend_of(field)
+        options = MapOptions(coordinates, resolution, density, store, map)
+        kind.check(options)
         self.edits = checked_edits(rest)
         self.device = field.device if device is None else resolve_device(device)
-        self.field = cast(Any, field).to(self.device)
+        self.field: FieldT = cast(Any, field).to(self.device)
         self.coordinates: Coordinates = coordinates
         self.density: Density = density
         self.store: Store = store
@@ -151,7 +169,7 @@ class Deformer(HeldOnDevice):
         self.deformed: list[Cage | None] | None = None
         self.lock = owner_lock(self.device)
         with self.lock:
-            self._backend = backend(self.field, self.edits, asked)
+            self._backend: AnyBackend = kind(self.field, self.edits, options, progress)
 
     @property
     def reached_bounds(self) -> np.ndarray:
@@ -159,7 +177,7 @@ class Deformer(HeldOnDevice):
         with self.lock:
             return self._backend.reached(self._posed_cages())
 
-    def pose(self, deformed: PoseLike | Sequence[PoseLike | None]) -> Deformer:
+    def pose(self, deformed: PoseLike | Sequence[PoseLike | None]) -> Self:
         """Move the cages.
 
         Args:
@@ -171,8 +189,8 @@ class Deformer(HeldOnDevice):
 
         Raises:
             ValueError: For another count, cages whose faces differ from the rest cage's, or a cage that cannot be used
-                (inverted, open, without volume); the pose before stays then. Also for too little memory, or a cage so
-                far from the field that float32 cannot tell the cells of its lattice apart; the cages are at rest then.
+                (inverted, open, without volume); the pose before stays then. Also for too little memory, or a cage too
+                far from the field for the cells of its lattice in float32; the cages are at rest then.
         """
         cages = self._backend.checked(deformed)
         with self.lock:
@@ -186,17 +204,17 @@ class Deformer(HeldOnDevice):
             self.deformed = cages
         return self
 
-    def posed(self, deformed: PoseLike | Sequence[PoseLike | None]) -> PosedDeformer:
-        """A pose of its own, for callers that share this Deformer; this Deformer's own pose stays what it is.
+    def posed(self, deformed: PoseLike | Sequence[PoseLike | None]) -> PosedDeformer[FieldT]:
+        """A separate pose, for callers that share this Deformer, whose current pose stays.
 
-        All poses share the buffers. Where another pose came between, the next use computes this one again: threads that
-        take turns at every frame are quicker with a Deformer each.
+        All poses share the buffers: a pose is computed again where another one was used in between. Threads that take
+        turns at every frame are faster with a Deformer each.
 
         Args:
             deformed: As for `pose`.
 
         Returns:
-            The pose: it renders as this Deformer does, and always its own cages.
+            The pose, with the methods `render`, `sample` and `to_canonical`.
 
         Raises:
             ValueError: As `pose`.
@@ -207,9 +225,9 @@ class Deformer(HeldOnDevice):
         return PosedDeformer(self, cages)
 
     def posed_edits(self) -> PosedEdits:
-        """What kernels take of the last pose; the cages are posed at rest where there was none.
+        """The edits of the last pose for kernels, at rest before the first one.
 
-        Hold `lock` over this and what reads it, where several threads use this Deformer.
+        Where several threads use this Deformer, hold `lock` over this and what reads it.
         """
         with self.lock:
             return self._backend.hold(self._posed_cages())
@@ -222,14 +240,14 @@ class Deformer(HeldOnDevice):
         return self.deformed
 
     def inverse_error(self, points: Any = None, *, edit: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """How far apart the two maps of the last pose draw the same matter: 0 where each is the inverse of the other.
+        """The distance between the two maps of the last pose: 0 where each is the inverse of the other.
 
-        Voxels are looked up backward, by coordinates of the posed cage; splats and `deform_points` go forward, by those
-        of the cage at rest. A point of the picture takes the one to rest and the other back, and misses itself by this.
+        Voxels are looked up backward, by coordinates of the posed cage; splats and `deform_points` move forward, by
+        those of the cage at rest. The error of a point is its distance to itself after the one map and then the other.
 
         Args:
             points: (n, 3), world units, in the posed cage. None is a grid of 24 cells along its longest side.
-            edit: Number of the edit whose cages are meant, without falloff and fragments.
+            edit: Number of the edit; its falloff and fragments are left out.
 
         Returns:
             The points (n, 3) float64, and their errors (n,) float64, world units; NaN outside of the posed cage, and
@@ -266,7 +284,8 @@ class Deformer(HeldOnDevice):
                 positive and finite.
         """
         with self.lock:
-            return self._backend.to_canonical(self._posed_cages(), points, directions, step, return_outside)
+            posed = PosedDeformer(self, self._posed_cages())
+            return posed.to_canonical(points, directions, step=step, return_outside=return_outside)
 
     def sample(self, points: Any, directions: Any, *, step: float | None = None) -> tuple[Any, Any]:
         """Colour and density of the deformed scene at points, for renderers of fields: `to_canonical`, then the field.
@@ -285,7 +304,7 @@ class Deformer(HeldOnDevice):
             ValueError: As `to_canonical`, for splats, and for a field whose densities are negative or not finite.
         """
         with self.lock:
-            return self._backend.sample(self._posed_cages(), points, directions, step)
+            return PosedDeformer(self, self._posed_cages()).sample(points, directions, step=step)
 
     @overload
     def render(self, camera: Camera, **options: Unpack[ViewOptions]) -> Frame: ...
@@ -306,14 +325,14 @@ class Deformer(HeldOnDevice):
         """The view of a camera of the deformed scene, with the masks reveal, fold and outside; or those of several.
 
         Args:
-            camera: The camera; or cameras of one size, whose views follow each other without a word to the host.
+            camera: The camera; or cameras of one size, whose views are launched without waiting for the host.
             background: Colour behind the scene, a name or (3,) in [0, 1]. None is the field's own; its background model
                 stays where it is however the cages move, and shows where they clear.
             step: March step, world units, at least 1e-5 of the field's diagonal. None is the field's.
             supersampling: Rays along each side of a pixel. None is the field's.
-            antialias: Of splats only: weaken those that the blur of the picture makes larger; see `SplatField.render`.
+            antialias: Splats only: weaken those that the blur of the picture makes larger; see `SplatField.render`.
                 None is the field's own.
-            outputs: Of voxels: what is wanted beside colour, opacity, depth and masks, by names of Frame's properties:
+            outputs: Voxels only: outputs beside colour, opacity, depth and masks, by names of Frame's properties:
                 "canonical", "flow", "instance".
             flow_pose: Pose to which "flow" goes, as `pose` takes them. None is the pose of the view.
             flow_camera: Camera to which "flow" goes, one for all views or one each. None is the camera of the view.
@@ -323,13 +342,21 @@ class Deformer(HeldOnDevice):
 
         Raises:
             ValueError: For a background that is not known, a step that is not positive and finite or is too short,
-                a camera so far away that float32 cannot tell steps there, a posed cage so large that a march through it
-                would not end, supersampling out of range, or antialias with voxels. For cameras of several sizes or
-                none, outputs that are not known, and flow without its aim.
+                a camera too far away for its steps in float32, a posed cage that takes too many steps, supersampling
+                out of range, or antialias with voxels. For cameras of several sizes or none, outputs that are not
+                known, and flow without `flow_pose` or `flow_camera`.
         """
         with self.lock:
-            how = background, step, supersampling, antialias
-            return render_pose(self._backend, self._posed_cages(), camera, how, outputs, flow_pose, flow_camera)
+            return PosedDeformer(self, self._posed_cages()).render(
+                camera,
+                background=background,
+                step=step,
+                supersampling=supersampling,
+                antialias=antialias,
+                outputs=outputs,
+                flow_pose=flow_pose,
+                flow_camera=flow_camera,
+            )
 
     def render_poses(
         self,
@@ -344,7 +371,7 @@ class Deformer(HeldOnDevice):
         flow_poses: Sequence[PoseLike | Sequence[PoseLike | None]] | PointsLike | None = None,
         flow_camera: Camera | Sequence[Camera] | None = None,
     ) -> Frames:
-        """The view of a camera of each of several poses; this Deformer's own pose stays what it is.
+        """The view of a camera of each of several poses; the current pose stays.
 
         Args:
             poses: What `pose` takes for each view; for one edit also vertices (n, v, 3), world units, as an array of
@@ -364,93 +391,38 @@ class Deformer(HeldOnDevice):
         Raises:
             ValueError: As `pose` and `render`, and for other numbers of poses and cameras.
         """
+        options = RenderOptions(background, supersampling, antialias, step)
         with self.lock:
-            how = background, step, supersampling, antialias
-            return render_poses(self._backend, poses, camera, how, outputs, flow_poses, flow_camera)
-
-
-class SplatDeformer(Deformer, of=SplatBackend):
-    """Gaussian splats as cages deform them. `Deformer(splat_field, cage)` makes one.
-
-    Splats are matter, so that they move forward: each is bound to the cage at rest once, and a pose is one weighted sum
-    a splat. Covariances follow by the map's Jacobian, J S J^T; harmonics turn by the rotation nearest to J; a splat
-    that the pose bends is drawn in pieces; one at the wall of a cage goes and stays by its shares (docs/splats.md).
-
-    References: Xu and Harada, "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 5, with the map of Joshi et al.
-    2007, Ju et al. 2005 or Lipman et al. 2008 from the cage at rest to the posed one.
-    Limitations: what an edit moves is carried through later edits as its centre goes, on a lattice; fragments of edits
-    are for voxels.
-
-    Example::
-
-        field = SplatField.load("scene.ply")
-        cage = Cage.from_field(field)
-        Deformer(field, cage).pose(cage.bend(40)).baked().save("bent.ply")
-
-    Args:
-        field: The splats.
-        rest: A Cage around what is to be deformed, or a list of Cage or CageEdit, as for `Deformer`.
-        coordinates: "harmonic", "mean_value" or "green"; the default is as for `Deformer`.
-        resolution: Cells along the longest side of a cage of lattices, on which harmonic coordinates are solved. None
-            is 128. Mean value and Green coordinates need no lattice for one edit.
-        density: "opacity" keeps how opaque the splat is to a ray that goes along, so that a part keeps its look when
-            it is stretched. "paper" keeps matter per length: optical depth grows with the stretch (the root mean
-            square over directions).
-        device: Warp device. None is the field's.
-        store: "map": splats keep the weights that they need in any case.
-        map: "forward" or None; "backward" puts splats where voxels under the same cages would be (Newton's method on
-            the lattices of `resolution` of the posed cages).
-        progress: As for `Deformer`.
-
-    Raises:
-        ValueError: For names that do not exist, or a cage that cannot be used.
-        Cancelled: Where `progress` returned False.
-
-    Attributes:
-        field: The SplatField, on the device.
-        edits: The CageEdits in their order.
-        deformed: The posed cages, one per edit, None for an edit that removes; None before the first pose.
-    """
-
-    field: SplatField  # pyright: ignore[reportIncompatibleVariableOverride]
-
-    def pose(self, deformed: PoseLike | Sequence[PoseLike | None]) -> SplatDeformer:
-        """Move the cages; see `Deformer.pose`.
-
-        Args:
-            deformed: As for `Deformer.pose`.
-
-        Returns:
-            This SplatDeformer.
-
-        Raises:
-            ValueError: As `Deformer.pose`.
-        """
-        super().pose(deformed)
-        return self
+            return render_poses(self._backend, poses, camera, options, outputs, flow_poses, flow_camera)
 
     def posed_splats(self) -> Any:
-        """The Splats of the last pose, for kernels (kernels/splats/splats.py), relative to `field.center`.
+        """Splats only: those of the last pose, for kernels (kernels/splats/splats.py), relative to `field.center`.
 
         The field's own at rest. The next pose overwrites them: hold `lock` over this and what reads it, where several
         threads use this Deformer. Splats that are not drawn have opacity 0.
+
+        Raises:
+            ValueError: For a field that is not one of splats.
         """
-        return self.posed_edits().posed  # pyright: ignore[reportAttributeAccessIssue]
+        self._splat_field("posed_splats")
+        return cast(Any, self.posed_edits()).posed
 
     def baked(self) -> SplatField:
-        """The posed splats as a field of their own: with turned harmonics, for files that any viewer opens.
+        """Splats only: the posed ones as a field of their own, with turned harmonics, for files that any viewer opens.
 
-        Splats that did not move keep every bit, and all of them what their file says that nobody here knows. Those that
-        are cleared, split or hidden are left out.
+        Splats that did not move keep every bit, and all of them the properties of their file that warpcage does not
+        know. Those that are cleared, split or hidden are left out.
 
         Returns:
             The field, on the same device.
+
+        Raises:
+            ValueError: For a field that is not one of splats: `bake` takes voxels too.
         """
+        field = self._splat_field("baked")
         with self.lock:
             posed, edits = self.posed_splats(), self._backend.posed
-            if posed is self.field.splats:
-                return self.field
-            return baked_field(self.field, posed, edits)
+            return field if posed is field.splats else baked_field(field, posed, edits)
 
     def save_sequence(
         self,
@@ -460,7 +432,7 @@ class SplatDeformer(Deformer, of=SplatBackend):
         first: int = 1,
         overwrite: bool = False,
     ) -> list[pathlib.Path]:
-        """Write a file for each of several poses, for viewers and programs that play such sequences.
+        """Splats only: write a file for each of several poses, for viewers and programs that play such sequences.
 
         Each file is written whole or not at all; those before a failure stay. Files of the same name with other
         numbers, as a longer sequence before has left them, stay too, with a warning that names them, unless they are to
@@ -477,28 +449,18 @@ class SplatDeformer(Deformer, of=SplatBackend):
             The files.
 
         Raises:
-            ValueError: For a path without a run of #, a first number that is none, or as `pose`.
+            ValueError: For a field that is not one of splats, a path without a run of #, a first number that is none,
+                or as `pose`.
         """
-        pattern = checked_path(path, "the name of a sequence")
-        marks = re.findall("#+", pattern.name)
-        if len(marks) != 1:
-            raise InputError(f"a sequence needs one run of # in its name, such as walk_####.ply, got {pattern.name!r}")
-        format_to_write(pattern)
-        checked_whole(first, "first", 0)
-        written: list[pathlib.Path] = []
-        for number, cages in enumerate(poses, first):
-            with self.lock:
-                baked = self.pose(cages).baked()
-            for other in [] if written or not overwrite else numbered_files(pattern, marks[0]):
-                other.unlink()
-            written.append(pattern.with_name(pattern.name.replace(marks[0], str(number).zfill(len(marks[0])))))
-            baked.save(written[-1])
-        warn_of_others(pattern, marks[0], written)
-        return written
+        self._splat_field("save_sequence")
+        return write_sequence(path, (self._baked_pose(pose) for pose in poses), first, overwrite)
 
+    def _baked_pose(self, pose: Any) -> SplatField:
+        with self.lock:
+            return self.pose(pose).baked()
 
-# `__new__`, which chooses the class, would hide it
-for _class in (Deformer, SplatDeformer):
-    _of_self = inspect.signature(_class.__init__)
-    _given = list(_of_self.parameters.values())[1:]
-    _class.__signature__ = _of_self.replace(parameters=_given)  # pyright: ignore[reportAttributeAccessIssue]
+    def _splat_field(self, name: str) -> SplatField:
+        """The field, for a method that only splats have."""
+        if not isinstance(self.field, SplatField):
+            raise InputError(f"{name} is for splats, this Deformer has a {type(self.field).__name__}")
+        return self.field

@@ -13,7 +13,7 @@ from ..cage.cage import Cage
 from ..coordinates.coordinates import stretched_normals
 from ..core.arrays import empty_array, local_points
 from ..core.devices import launch
-from ..core.names import chosen
+from ..core.names import coordinate_kind
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import CarriedFragments
@@ -32,8 +32,8 @@ from ..view.frame import Frame
 #: float32 evaluates the maps to about 1e-5.
 CLOSED_FORM_SLACK = 1e-4
 
-#: Cells, along the longest side of a cage, of the lattice that tells the closed forms what they can leave out; and how
-#: much larger than a cell the box is that must show nothing, in cells.
+#: Cells along the longest side of a cage of the lattice that finds where closed forms need not be evaluated, and how
+#: much larger than a cell the box is that must be empty for that, in cells.
 GUIDE_RESOLUTION, GUIDE_MARGIN = 96, 0.5
 
 
@@ -57,7 +57,7 @@ class ExactEdits(PosedEdits):
         self.array, self.launcher = None, FrameLauncher(device)
         self._edits, self._origin, self._device = edits, origin, device
         self.sample_work = sum(len(edit.cage.faces) for edit in edits)  # each face is looked at
-        self._is_green = chosen(coordinates, "coordinates", mean_value=False, green=True)
+        self._is_green = coordinate_kind(coordinates).has_face_weights
         load_pose_modules(coordinates, [exact_kernel(), cell_tables], device)
         self._bands = list(bands) or [None] * len(edits)
         self.guide = EditLattices(edits, coordinates, GUIDE_RESOLUTION, origin, device, bands=bands, carried=carried)
@@ -84,10 +84,10 @@ class ExactEdits(PosedEdits):
 
     def render(self, view: FieldView, arc_opacity: int) -> Frame:
         marching = view.field.marching
-        if not view.is_again:
+        if not view.target.is_again:
             marching.begin()
         target = frame_target(view, arc_opacity)
-        grid = marching.marched if view.is_again else marching.grid()
+        grid = marching.marched if view.target.is_again else marching.grid()
         self.prepare(grid, view.step)
         self.launcher.march(exact_kernel(), [grid, self.array], target, work=self.sample_work)
         return finish_frame(view, target.arrays)

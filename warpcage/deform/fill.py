@@ -1,4 +1,4 @@
-"""What no picture showed, filled by a smooth continuation of what surrounds it."""
+"""Filling of background that no picture showed, by a smooth continuation of its surroundings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
 from ..view.frame import Frame
 
-#: A pixel is uncovered where it lost this much opacity, and shows the background up to this opacity of matter.
+#: A pixel is uncovered where it lost this much opacity, and shows background below this opacity.
 UNCOVERED, CLEAR = 0.05, 0.5
 
 #: Pixels between what the object hides and what counts as seen: edges are mixed.
@@ -30,9 +30,9 @@ SWEEPS = 30
 def fill_unseen(frame: Frame, field: VoxelField, camera: Camera) -> Frame:
     """A deformed frame in which the background that an edit uncovers goes on from what surrounds it.
 
-    What was fitted behind an object is nothing true where the object hid it from all cameras: coloured fog. There the
-    picture takes the harmonic function (a membrane) whose border is the background around, so that ground, say, is
-    even and no edge shows. It is made up: `Frame.filled` marks it. Matter is left as it is, seen or not.
+    What was fitted behind an object is coloured fog where the object hid it from all cameras. There the picture takes
+    the harmonic function (a membrane) that continues the background around it, so that ground, say, is even and no
+    edge shows. `Frame.filled` marks it. Matter is left as it is, seen or not.
 
     Source: the membrane of Perez, Gangnet and Blake, "Poisson Image Editing" (SIGGRAPH 2003), without a source image,
     on a pyramid of pictures.

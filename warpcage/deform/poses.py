@@ -1,10 +1,10 @@
-"""What a Deformer takes, and its poses: how they are checked, where they lead points, how far apart two maps are."""
+"""Poses of a Deformer: their check, points and samples under them, and how far two maps are from inverse."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any, TypeAlias, TypedDict
+from typing import Any, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -15,8 +15,6 @@ from ..coordinates.coordinates import deform_points
 from ..core.arrays import PointsLike, as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
 from ..core.checks import checked_step
 from ..core.devices import launch
-from ..core.names import Coordinates, Density, SplatMap, Store
-from ..core.reports import Progress
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
 from ..errors import InputError
@@ -33,19 +31,6 @@ PoseLike: TypeAlias = "Cage | PointsLike | str | os.PathLike[str]"
 
 #: What is posed: a cage, an edit, or several in their order.
 RestLike: TypeAlias = Cage | CageEdit | Sequence[Cage | CageEdit]
-
-
-class DeformerOptions(TypedDict, total=False):
-    """Options of a Deformer by their names, for type checkers: `Deformer.__new__` has no more to say of them."""
-
-    coordinates: Coordinates
-    resolution: int | None
-    density: Density
-    device: wp.DeviceLike
-    store: Store
-    map: SplatMap | None
-    progress: bool | Progress
-
 
 #: Cells along the longest side of the posed cage's box, of the grid at whose nodes the maps are compared.
 CELLS = 24

@@ -2,29 +2,43 @@
 
 import pathlib
 import re
-import warnings
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
-from ..core.checks import listed
+from ..core.checks import checked_path, checked_whole, listed, warn_caller
+from ..core.files import PathLike
 from ..core.names import counted
+from ..errors import InputError
 from ..splats.binding import turned_harmonics
 from ..splats.io.contents import SplatContents, chosen_layout, logits_of, rotation_matrices
+from ..splats.io.formats import format_to_write
 from ..splats.splat_field import SplatField
 from .splat_edits import SplatEdits
 
 
-def warn_of_others(pattern: pathlib.Path, marks: str, written: list[pathlib.Path]) -> None:
-    """Say which files of another sequence a player would take for this one's."""
-    ours = {path.name for path in written}
-    others = [path.name for path in numbered_files(pattern, marks) if path.name not in ours] if written else []
+def write_sequence(path: PathLike, fields: Iterable[SplatField], first: int, overwrite: bool) -> list[pathlib.Path]:
+    """See `Deformer.save_sequence`; fields: one for each file, made when it is written."""
+    pattern = checked_path(path, "the name of a sequence")
+    marks = re.findall("#+", pattern.name)
+    if len(marks) != 1:
+        raise InputError(f"a sequence needs one run of # in its name, such as walk_####.ply, got {pattern.name!r}")
+    format_to_write(pattern)
+    checked_whole(first, "first", 0)
+    written: list[pathlib.Path] = []
+    for number, field in enumerate(fields, first):
+        for other in [] if written or not overwrite else numbered_files(pattern, marks[0]):
+            other.unlink()
+        written.append(pattern.with_name(pattern.name.replace(marks[0], str(number).zfill(len(marks[0])))))
+        field.save(written[-1])
+    others = [file.name for file in numbered_files(pattern, marks[0]) if file not in written] if written else []
     if others:
-        warnings.warn(
-            f"beside the {counted(len(written), 'file')} of this sequence lie {len(others)} of another one, which "
-            f"players take for its own: {listed(others, 3)}; they are removed with overwrite",
-            stacklevel=3,
+        warn_caller(
+            f"beside the {counted(len(written), 'file')} of this sequence are {len(others)} of another one, which "
+            f"players take for its own: {listed(others, 3)}; they are removed with overwrite"
         )
+    return written
 
 
 def numbered_files(pattern: pathlib.Path, marks: str) -> list[pathlib.Path]:

@@ -1,4 +1,4 @@
-"""Edits of splats: bound to their cages once, carried along with each pose."""
+"""Edits of splats, which are bound to their cages once and carried with each pose."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import warp as wp
 from ..cage.cage import Cage
 from ..core.arrays import empty_array, local_points
 from ..core.devices import lane_count, launch
+from ..core.reports import Progress
 from ..edits.edits import CageEdit
-from ..edits.falloff import FalloffBand, tell_of_squeezing
+from ..edits.falloff import FalloffBand, set_gap_remedies
 from ..kernels.splats import pose
 from ..kernels.splats import pose as follow
 from ..kernels.splats import pose as invert
@@ -32,7 +33,7 @@ from .splat_instances import BOUND, CLEARED, FOLLOWED, LEFT, make_instances, sha
 #: than this share of the cage's size.
 LARGE = 0.04
 
-#: Pieces that are kept beside so many splats: as many again, and some.
+#: Most pieces: so many a splat, and so many more.
 PIECES_A_SPLAT, FREE_PIECES = 1, 20_000
 
 #: Pieces are drawn where the map takes one this far from the splat's own affine piece, as a share of the cage's size:
@@ -45,9 +46,9 @@ DEPTH, CLOSE = 1e-4, 1e-4
 
 
 class BoundEdit:
-    """One edit on the device: its members, and what binds them; `index` is its number."""
+    """One edit on the device: its members and their bindings; `index` is its number."""
 
-    def __init__(self, edit: CageEdit, owner: SplatEdits, index: int):
+    def __init__(self, edit: CageEdit, owner: SplatEdits, index: int, progress: bool | Progress):
         device, origin = owner.device, owner.origin
         self.edit, self.owner, self.index = edit, owner, index
         actions = owner.instances.actions[index]
@@ -63,9 +64,11 @@ class BoundEdit:
         anchors = owner.anchors[index][nodes[leaders]]
         if len(bound):
             kind, resolution = owner.coordinates, owner.resolution
-            self.binding = CageBinding(anchors, edit.cage, kind, origin, device, resolution or RESOLUTION)
+            self.binding = CageBinding(
+                anchors, edit.cage, kind, origin, device, resolution or RESOLUTION, progress=progress
+            )
         offsets = (centers[leaders] - anchors).astype(np.float32)
-        #: what the binding carries: leaders, who goes their way, where the map is taken, and from there to them
+        #: what the binding carries: leaders, others with the same path, anchors, and offsets from these
         self.carriers = (
             wp.array(bound[leaders], dtype=wp.int32, device=device),
             wp.array(others, dtype=wp.int32, device=device),
@@ -95,7 +98,7 @@ class BoundEdit:
         ]
 
     def carries(self, cage: Cage | None) -> bool:
-        """Whether a pose of this edit moves all that is bound to it; also where nothing is."""
+        """Whether a pose of this edit moves what is bound to it."""
         if cage is None or self.edit.keep_source:
             return True
         return not np.array_equal(cage.vertices, self.edit.cage.vertices)
@@ -136,7 +139,7 @@ class BoundEdit:
         carried: Any,
         vertices: wp.array | None = None,
     ) -> None:
-        """Launch a kernel that asks where members are in a cage, whose vertices may be on the device already."""
+        """Launch a kernel that finds members in a cage, whose vertices may be on the device already."""
         owner, members = self.owner, self.members[kind]
         if not members.size:
             return
@@ -179,6 +182,7 @@ class SplatEdits:
         law: int,
         backward: bool,
         bands: Sequence[FalloffBand | None],
+        progress: bool | Progress = False,
     ):
         self.field, self.device, self.origin = field, field.device, field.center
         self.coordinates, self.resolution, self._law = coordinates, resolution, law
@@ -190,7 +194,7 @@ class SplatEdits:
             self.maps = [
                 None if edit.remove else PositionMap(edit.cage, **options, device=self.device).warm() for edit in edits
             ]
-            tell_of_squeezing(self.maps, self.bands)
+            set_gap_remedies(self.maps, self.bands)
         self._cut(edits)
         instances = self.instances = make_instances(edits, self.shares)
         count, device = len(instances.nodes), self.device
@@ -211,7 +215,7 @@ class SplatEdits:
         self._carried.shares = empty_array(count, wp.float32, device)
         launch(pose.start_splats, count, [self.centers, self._carried], device=device)
         self._ready = False
-        self._bound = [BoundEdit(edit, self, index) for index, edit in enumerate(edits)]
+        self._bound = [BoundEdit(edit, self, index, progress) for index, edit in enumerate(edits)]
         self._posed = self._empty_splats(count)
         self.posed: Any = None  # the Splats of the last pose
 
@@ -226,8 +230,8 @@ class SplatEdits:
             if not edit.remove:
                 largest[share > 0.0] = np.minimum(largest[share > 0.0], 0.5 * LARGE * edit.cage.size)
         count = len(centers)
-        most = count * (1 + PIECES_A_SPLAT) + FREE_PIECES
-        self.tree = split_tree(centers, factors, field.opacities, largest, most=most)
+        max_count = count * (1 + PIECES_A_SPLAT) + FREE_PIECES
+        self.tree = split_tree(centers, factors, field.opacities, largest, most=max_count)
         if len(self.tree.rows) > count:
             more, places = self._measure(edits, self.tree.centers[count:], self.tree.covariances[count:])
             shares, anchors = np.concatenate([shares, more], axis=1), np.concatenate([anchors, places], axis=1)
@@ -267,8 +271,8 @@ class SplatEdits:
         splats.opacities = empty_array(count, wp.float32, device)
         splats.harmonics, splats.degree = rest.harmonics, rest.degree
         rows = self.tree.rows[self.instances.nodes].astype(np.int32)
-        own = count == self.field.splat_count and np.array_equal(rows, np.arange(count))
-        splats.rows = empty_array(0, wp.int32, device) if own else wp.array(rows, dtype=wp.int32, device=device)
+        is_same = count == self.field.splat_count and np.array_equal(rows, np.arange(count))
+        splats.rows = empty_array(0, wp.int32, device) if is_same else wp.array(rows, dtype=wp.int32, device=device)
         return splats
 
     def is_at_rest(self, cages: Sequence[Cage | None]) -> bool:

@@ -1,4 +1,4 @@
-"""Which splats a list of edits makes of a field of splats, and what each edit does to each of them."""
+"""The splats that edits draw of a field of splats, and the action of each edit on each of them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from ..edits.edits import CageEdit
 from ..kernels.splats.pose import GOES, GOES_OR_STAYS, STAYS
 from ..splats.binding import SplitTree
 
-#: What an edit does to a splat: nothing; it goes along with the cage, bound to it at rest; it stays, and gives way; it
-#: is followed to where earlier edits took it, in one of the three ways; it is cleared if it got there.
+#: What an edit does to a splat: nothing; it moves with the cage, bound to it at rest; it stays, and is covered by what
+#: moves; an earlier edit moved it, and it is carried from there; it is cleared if it is in the cage then.
 NOTHING, BOUND, LEFT, FOLLOWED, CLEARED = range(5)
 
 
@@ -63,7 +63,7 @@ def make_instances(edits: list[CageEdit], shares: np.ndarray) -> Instances:
         held[goes] *= share[goes]
         moved = moved | goes
         nodes, held, moved = _rows(np.concatenate([np.arange(first), twice]), nodes, held, moved, actions)
-        held[first:] = whole[twice]  # how much of it stays each pose says
+        held[first:] = whole[twice]  # each pose decides how much of it stays
         copies = np.arange(first, len(nodes))
         followed = new.kinds[copies] == FOLLOWED
         new.kinds[copies[~followed]], new.ways[copies[followed]] = LEFT, STAYS

@@ -1,4 +1,4 @@
-"""Stage: several fields in one scene, each in a place of its own, rendered together, kept in one file, and merged."""
+"""Stage: several objects in one scene, each in its place, rendered together, saved in one file, and merged."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 import os
 import pathlib
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -14,51 +14,33 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import box_corners, empty_array
-from ..core.checks import (
-    checked_flag,
-    checked_number,
-    checked_path,
-    checked_positive,
-    checked_whole,
-    listed,
-    renamed,
-    require_type,
-)
+from ..core.checks import checked_flag, checked_number, checked_path, checked_whole, listed, renamed, require_type
 from ..core.devices import HeldOnDevice, launch, resolve_device
 from ..core.files import PathLike, require_file
-from ..core.locks import in_turn
+from ..core.names import TRANSPARENT
+from ..core.threads import in_turn
 from ..edits.edits import CageEdit
 from ..edits.place import Place, PlaceFile, as_places, seen_from
 from ..edits.stage_file import deformation_json, read_deformation, read_stage_file, write_stage_file
 from ..errors import InputError
 from ..field.mixing import mixed_field
-from ..field.render import picture_arrays
+from ..field.render import RenderOptions, picture_arrays
 from ..field.voxel_field import VoxelField
 from ..kernels.view.compose import compose_objects
 from ..render.surface_mesh import SurfaceMesh, load_object
-from ..splats.io.axes import joined, placed
+from ..splats.io.axes import placed
+from ..splats.io.contents import joined
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
-from ..view.frame import (
-    MASK_NAMES,
-    PART_NAMES,
-    Frame,
-    average_frame,
-    checked_supersampling,
-    finer_camera,
-    part_type,
-    view_background,
-)
+from ..view.frame import MASK_NAMES, PART_NAMES, Frame, average_frame, finer_camera, part_type
 from .bake import MAX_RESOLUTION, STAND_IN_RESOLUTION, bake
-from .deformer import Deformer, SplatDeformer
-
-#: What a stage holds.
-SceneObject: TypeAlias = VoxelField | SplatField | SurfaceMesh | Deformer
+from .deformer import Deformer
+from .objects import SceneObject, field_of, render_object
 
 #: Cells of the lattice on which a field without edits is moved: a similarity is exact on any.
 PLACING_CELLS = 16
 
-#: How far the cage that moves a field stands off from all that it holds, as a share of its size.
+#: Distance of the cage that moves a field from all that it holds, as a share of the field's size.
 STAND_OFF = 0.05
 
 
@@ -74,7 +56,7 @@ class StageItem:
     @property
     def field(self) -> VoxelField | SplatField | SurfaceMesh:
         """Its field or mesh, without cages."""
-        return self.scene_object.field if isinstance(self.scene_object, Deformer) else self.scene_object
+        return field_of(self.scene_object)
 
     @property
     def bounds(self) -> np.ndarray:
@@ -87,15 +69,14 @@ class StageItem:
 
 
 class Stage(HeldOnDevice):
-    """Several objects in one scene: fields, meshes, and Deformers of those, each in a place of its own.
+    """Several objects in one scene: fields, meshes, and Deformers of those, each in its place.
 
-    Each is rendered from where the camera stands in its own coordinates, and the pictures are put together ray by ray
-    by depth. That is right where an object is solid, or clear of the others along the ray. Haze of two objects in one
-    place is not mixed: what is nearer on average, by the depth of each, comes first (`merged` mixes voxels). Meshes
-    are before and behind fields by the same rule.
+    Each is rendered by a camera in its coordinates, and the pictures are composited ray by ray in order of depth. That
+    is exact where objects are solid, or apart along the ray. Haze of two objects in one place is not mixed: the one of
+    the smaller mean depth comes first (`merged` mixes voxels). Meshes follow the same rule.
 
-    What lies around a field, layers or an outer field, is taken of the first object that has it, and the colour behind
-    all of the first object. One thread at a time uses a Stage.
+    The surroundings, layers or an outer field, are those of the first object that has some; the colour behind all is
+    the first object's. One thread at a time uses a Stage.
 
     References: Porter and Duff, "Compositing Digital Images" (SIGGRAPH 1984).
 
@@ -181,8 +162,7 @@ class Stage(HeldOnDevice):
             ValueError: As `add`, and for a name that is not there.
         """
         item = self._item(name)
-        field = scene_object.field if isinstance(scene_object, Deformer) else scene_object
-        kept = item.path if field is item.field else None
+        kept = item.path if field_of(scene_object) is item.field else None
         self.items[name] = dataclasses.replace(item, scene_object=self._here(name, scene_object), path=kept)
         return self
 
@@ -265,31 +245,28 @@ class Stage(HeldOnDevice):
             camera: The camera, in the coordinates of the stage.
             background: Colour behind the scene, a name or (3,) in [0, 1]. None is what lies around the first object
                 that has surroundings, or else the first object's own colour.
-            supersampling: Rays along each side of a pixel. None is that of the object which takes most: of meshes two.
-            antialias: Of splats only; see `SplatField.render`. None is each field's own.
-            step_scale: Of voxels only: how many times as long as its own the march steps of each field are, above 0.
-                More than 1 is faster and coarser.
+            supersampling: Rays along each side of a pixel. None is the largest of the objects' own; of meshes two.
+            antialias: Splats only; see `SplatField.render`. None is each field's own.
+            step_scale: Voxels only: factor on each field's own march step, above 0. More than 1 is faster and coarser.
 
         Returns:
-            The frame, its arrays on the device. Depth is in world units of the stage, the mean of what is seen, each
-            object by the light that comes from it; masks are those of Deformers, dimmed by what is before them.
+            The frame, its arrays on the device. Depth is in world units of the stage, the mean over objects by the
+            light that comes from each; masks are those of Deformers, dimmed by what is before them.
 
         Raises:
             ValueError: For a stage that shows nothing, and as `Deformer.render`.
         """
         require_type(camera, Camera, "render needs")
+        options = RenderOptions(background, supersampling, antialias, step_scale=step_scale)
         items = list(self._shown().values())
-        own = [each.field.supersampling for each in items if not isinstance(each.field, SplatField)]
-        side = checked_supersampling(max(own, default=1) if supersampling is None else supersampling)
+        sides = [each.field.supersampling for each in items if not isinstance(each.field, SplatField)]
+        side = options.side(max(sides, default=1))
         fine = finer_camera(camera, side)
         around = next((each for each in items if each.field.background_model is not None), None)
         model = None if around is None or background is not None else around.field.background_model
-        if background is not None:
-            color = view_background(background)
-        else:
-            color = items[0].field.background if model is None else np.zeros(3, np.float32)
-        step_scale = checked_positive(step_scale, "step_scale")
-        frames = [self._view(item, fine, antialias, step_scale) for item in items]
+        color = options.color(items[0].field.background if model is None else np.zeros(3, np.float32))
+        alone = dataclasses.replace(options, background=TRANSPARENT, supersampling=1)
+        frames = [render_object(item.scene_object, seen_from(self._placed(item), fine), alone) for item in items]
         scales = [self._placed(item).scale for item in items]
         unit = None if around is None or model is None else self._placed(around).scale
         frame, depth = self._composed(frames, scales, color, unit)
@@ -298,16 +275,6 @@ class Stage(HeldOnDevice):
             view, (rgb, alpha) = seen_from(self._placed(around), fine), (frame.arrays["rgb"], frame.arrays["alpha"])
             model.add_around(view, rgb, alpha, depth, masks)
         return average_frame(frame, side).seen_by(camera, None if model else color, background)
-
-    def _view(self, item: StageItem, camera: Camera, antialias: bool | None, step_scale: float) -> Frame:
-        """What a camera of the stage sees of an object alone, on black."""
-        options: dict[str, Any] = {}
-        if isinstance(item.field, SplatField):
-            options = {"antialias": antialias}
-        elif isinstance(item.field, VoxelField) and step_scale != 1.0:
-            options = {"step": step_scale * item.field.step}
-        seen = seen_from(self._placed(item), camera)
-        return item.scene_object.render(seen, background="transparent", supersampling=1, **options)
 
     @in_turn
     def _composed(
@@ -426,17 +393,17 @@ class Stage(HeldOnDevice):
             if isinstance(item.field, VoxelField):
                 scene_object = convert(bake(scene_object) if isinstance(scene_object, Deformer) else scene_object)
                 require_type(scene_object, SplatField, "convert must make")
-            fields.append(scene_object.baked() if isinstance(scene_object, SplatDeformer) else scene_object)
+            fields.append(scene_object.baked() if isinstance(scene_object, Deformer) else scene_object)
         places = [self._placed(item) for item in items]
         moved = [
             placed(field.contents, place.rotation, place.position, place.scale)
             for field, place in zip(fields, places, strict=True)
         ]
-        own = next((item.field for item in items if isinstance(item.field, SplatField)), None)
+        first = next((item.field for item in items if isinstance(item.field, SplatField)), None)
         options = {
             "background": main.field.background,
             "up": self._placed(main).rotation @ main.field.up,
-            "antialias": own is not None and own.antialias,
+            "antialias": first is not None and first.antialias,
         }
         return SplatField.from_contents(joined(moved), device=self.device, **options)
 
@@ -459,7 +426,8 @@ class Stage(HeldOnDevice):
 
     def _baked(self, item: StageItem, origin: np.ndarray, side: float) -> VoxelField:
         """An object of voxels where it stands, on the grid of all of them. origin: (3,) its lower corner."""
-        scene_object, place = item.scene_object, self._placed(item)
+        scene_object, place, field = item.scene_object, self._placed(item), item.field
+        assert isinstance(field, VoxelField)
         reached = _reached(scene_object)
         pad = STAND_OFF * float((reached[1] - reached[0]).max())
         cage = Cage.box(reached[0] - pad, reached[1] + pad)
@@ -473,7 +441,7 @@ class Stage(HeldOnDevice):
                 "resolution": scene_object.resolution or STAND_IN_RESOLUTION,
             }
             options["density"] = scene_object.density
-        deformer = Deformer(item.field, [*edits, CageEdit(cage)], device=self.device, **options)
+        deformer = Deformer(field, [*edits, CageEdit(cage)], device=self.device, **options)
         deformer.pose([*poses, cage.with_vertices(place.moved(cage.vertices))])
         box = place.moved(box_corners(reached))
         begin, end = _cells(np.stack([box.min(axis=0), box.max(axis=0)]), origin, side)
@@ -485,7 +453,7 @@ class Stage(HeldOnDevice):
 
     def _here(self, name: str, scene_object: Any) -> SceneObject:
         """An object on the stage's device, which the first one decides."""
-        field = scene_object.field if isinstance(scene_object, Deformer) else scene_object
+        field = field_of(scene_object)
         if not isinstance(field, VoxelField | SplatField | SurfaceMesh):
             raise InputError(
                 "a stage holds VoxelFields, SplatFields, SurfaceMeshes, Deformers of those and their files, got "
@@ -544,7 +512,7 @@ def _item_json(name: str, item: StageItem, folder: pathlib.Path) -> dict[str, An
         content["hidden"] = True
     if isinstance(scene_object := item.scene_object, Deformer):
         options = {name: getattr(scene_object, name) for name in ("coordinates", "resolution", "density", "store")}
-        if isinstance(scene_object, SplatDeformer):
+        if isinstance(scene_object.field, SplatField):
             options["map"] = scene_object.map
         content["deformation"] = deformation_json(options, scene_object.edits, _poses(scene_object))
     return content

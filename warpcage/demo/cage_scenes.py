@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from ..errors import InputError
+from ..core.checks import checked_whole
+from ..core.names import checked_choice
 from ..field.voxel_field import VoxelField
 
 #: Half the side of the cube that every scene lies in.
@@ -54,10 +55,8 @@ CAGE_SCENES = {"thin": _thin, "concave": _concave, "ring": _ring, "two parts": _
 
 def scene_field(name: str, resolution: int = 48, device: wp.DeviceLike = None) -> VoxelField:
     """A grey field of one of `CAGE_SCENES` over the cube [-1, 1]^3; resolution: voxels along each side, 8 or more."""
-    if name not in CAGE_SCENES:
-        raise InputError(f"scene must be one of {', '.join(CAGE_SCENES)}, got {name!r}")
-    if resolution < 8:
-        raise InputError(f"resolution must be at least 8 voxels along each side, got {resolution}")
+    checked_choice(name, "scene", tuple(CAGE_SCENES))
+    checked_whole(resolution, "resolution", 8)
     axis = HALF * ((np.arange(resolution) + 0.5) * 2.0 / resolution - 1.0)
     x = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
     # opaque within a voxel of the surface, so that thin walls show too

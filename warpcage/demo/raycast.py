@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ..core.checks import checked_whole
 from ..core.devices import launch, resolve_device
 from ..errors import InputError
 from ..kernels.demo.mesh_raycast import MeshLighting, cast_mesh_rays
@@ -34,7 +35,7 @@ def render_mesh_views(
     vertices, faces, colors = checked_mesh(vertices, faces, colors)
     cameras = list(cameras)
     width, height = common_size(cameras)
-    require_samples(samples)
+    checked_whole(samples, "samples", 1)
     device = resolve_device(device)
     origin = vertices.mean(axis=0)
     mesh = device_mesh(vertices, faces, origin, device)
@@ -93,9 +94,3 @@ def common_size(cameras: Sequence[Camera]) -> tuple[int, int]:
     if len(sizes) != 1:
         raise InputError(f"give one camera or more, all of one image size, got {len(sizes)} sizes")
     return sizes.pop()
-
-
-def require_samples(samples: int) -> None:
-    """Raises ValueError for fewer than one ray along each side of a pixel."""
-    if samples < 1:
-        raise InputError(f"samples must be at least 1, got {samples}")

@@ -1,4 +1,4 @@
-"""Edits of a scene: one description of an edit, in words too, its maps, falloff and fragments."""
+"""Edits of a scene: an edit and its spec in files, its maps, falloff and fragments."""
 
 from ..package import lazy_exports
 

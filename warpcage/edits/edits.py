@@ -19,7 +19,7 @@ from .spec import EditSpec
 #: Walls that a falloff may hold: those that cut matter, and those that a pose leaves in place.
 HELD = ("cut", "still")
 
-#: Edits of one scene; the way of a sample through them is kept in the bits of an int.
+#: Most edits of a scene: the path of a sample through them is kept in the bits of an int.
 MAX_EDITS = 31
 
 
@@ -32,13 +32,12 @@ class CageEdit:
         cage: The cage at rest.
         keep_source: Leave a copy where it was (a duplicate).
         remove: Draw nothing in its place: it is deleted, and needs no pose.
-        falloff: Width of the band inside held walls in which the edit fades to rest, world units: so that a part which
-            the cage cuts off does not tear. 0 holds no wall.
+        falloff: Width of the band inside held walls in which the edit fades to rest, world units, so that a part that
+            the cage cuts does not tear off. 0 holds no wall.
         held: The walls that a falloff holds: "cut", the faces of the cage that cut matter; "still", those whose
             vertices a pose leaves in place; or the numbers of the faces.
-        fragments: Pieces of matter outside the cage that its wall cuts off the part, and that are smaller than this
-            (diagonal of their box, world units), go with the part, by the map continued beyond the wall, instead of
-            floating where they were. 0 leaves all where it is.
+        fragments: Largest diagonal, world units, of pieces of matter that the wall of the cage cuts off and that move
+            with the part, by the map continued beyond the wall, instead of floating in place. 0 moves none.
 
     Raises:
         ValueError: For keeping and removing at once, a cage that cannot be used, a falloff that is no width or goes
@@ -55,7 +54,7 @@ class CageEdit:
     @property
     def crumbs(self) -> float:
         """The old name of `fragments`, for one release."""
-        warn_caller("CageEdit.crumbs is called fragments now: the next version knows that name alone")
+        warn_caller("CageEdit.crumbs is called fragments now: the old name goes with the next version")
         return self.fragments
 
     def __post_init__(self) -> None:
@@ -99,8 +98,8 @@ def checked_edits(rest: Cage | CageEdit | Sequence[Cage | CageEdit]) -> list[Cag
     return edits
 
 
-#: Fewest and most cells along the longest side of a cage where nobody asks for a number of them, and pixels for each:
-#: a lattice of 64 cells is 72 dB from a fine one in pictures of any size (docs/measurements.md).
+#: Default range of cells along the longest side of a cage, and pixels of the picture for each of them: a lattice
+#: of 64 cells is 72 dB from a fine one in pictures of any size (docs/measurements.md).
 MIN_CELLS, MAX_CELLS, PIXELS_PER_CELL = 64, 128, 5
 
 
@@ -110,12 +109,12 @@ def picture_cells(camera: Camera) -> int:
     return min(max(cells, MIN_CELLS), MAX_CELLS)
 
 
-def edit_from_spec(words: EditSpec, cage: Cage) -> CageEdit:
-    """The edit that words describe, of their cage at rest."""
-    return CageEdit(cage, words.keep, words.remove, words.falloff or 0.0, words.held, words.fragments or 0.0)
+def edit_from_spec(spec: EditSpec, cage: Cage) -> CageEdit:
+    """The edit of a spec, with its cage at rest."""
+    return CageEdit(cage, spec.keep, spec.remove, spec.falloff or 0.0, spec.held, spec.fragments or 0.0)
 
 
 def edit_spec(edit: CageEdit, cage: Any, posed: Any) -> EditSpec:
-    """The words of an edit; cage and posed: what names its cage at rest and its pose, None for one that removes."""
+    """The spec of an edit; cage and posed: references to its cage at rest and its pose, None for one that removes."""
     held = edit.held if edit.falloff else "cut"
     return EditSpec(cage, posed, edit.keep_source, edit.remove, edit.falloff, held, edit.fragments)

@@ -108,8 +108,8 @@ def has_sides(cage_map: Any) -> bool:
     return cage_map.side_index is not None and cage_map.side_index.size > 0
 
 
-def tell_of_squeezing(maps: Sequence[PositionMap | None], bands: Sequence[FalloffBand | None]) -> None:
-    """Let the map of each edit with a band say what its narrow gaps come from."""
+def set_gap_remedies(maps: Sequence[PositionMap | None], bands: Sequence[FalloffBand | None]) -> None:
+    """Name the falloff band in the warning about narrow gaps of each map with one."""
     for index, (position_map, band) in enumerate(zip(maps, bands, strict=True)):
         if position_map is not None and band is not None:
             position_map.gap_remedy = (

@@ -1,4 +1,4 @@
-"""The maps and signed distances of edits on lattices, and points that go with edits, such as the vertices of a mesh."""
+"""The maps and signed distances of edits on lattices, and points that edits move, such as vertices of a mesh."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from ..lattice.position_map import PositionMap
 from ..mesh.queries import SURFACE_TOLERANCE
 from ..mesh.validity import require_usable, size_problem
 from .edits import CageEdit
-from .falloff import FalloffBand, faded_map, folded_cells, has_sides, tell_of_squeezing
+from .falloff import FalloffBand, faded_map, folded_cells, has_sides, set_gap_remedies
 from .fragments import CarriedFragments
 
 
@@ -41,12 +41,12 @@ def carried_points(
     coordinates: str = FIELD_COORDINATES,
     device: wp.DeviceLike = None,
 ) -> np.ndarray:
-    """Where points (n, 3) go, float64: an edit takes those in its cage along, wherever the ones before it left them.
-    `poses` are the posed cages, one an edit; edits must move and nothing else."""
+    """Where edits move points (n, 3), float64: each moves those that the edits before it left in its cage.
+    poses: the posed cages, one an edit. Edits that do anything but move are refused."""
     if any(edit.keep_source or edit.remove or edit.falloff or edit.fragments for edit in edits):
         raise InputError(
-            "points go with edits that move alone, one of these copies, removes, fades or takes fragments along: bake "
-            "the field (warpcage bake) and take the surface of that"
+            "points follow edits that only move, one of these copies, removes, fades or takes fragments along: bake "
+            "the field (warpcage bake) and take its surface"
         )
     places = np.array(points, dtype=np.float64)
     for edit, pose in zip(edits, poses, strict=True):
@@ -64,7 +64,7 @@ LATTICE_SLACK = 0.5
 
 
 class EditLattices:
-    """The maps and signed distances of edits, in their order, on lattices, and tables of what whole cells of them say.
+    """The maps and signed distances of edits, in their order, on lattices, and tables of what holds for whole cells.
     resolution: cells along the longest side of each cage; bands, carried: one or None for each edit, () for none."""
 
     def __init__(
@@ -96,7 +96,7 @@ class EditLattices:
             "store": store,
         }
         self.maps = [None if edit.remove else PositionMap(edit.cage, **options).warm() for edit in edits]
-        tell_of_squeezing(self.maps, self._bands)
+        set_gap_remedies(self.maps, self._bands)
         self.skips: list[wp.array] = []  # (nx-1, ny-1, nz-1) uint8, cells to the nearest that may hold anything
         pool = BufferPool(device)  # poses differ in shape, and an allocation takes as long as a launch
         self._cell_buffers, self._skip_buffers = ([pool.buffer(wp.uint8) for _ in edits] for _ in range(2))
@@ -116,7 +116,7 @@ class EditLattices:
 
     def begin(self, cages: Sequence[Cage | None]) -> bool:
         """Start on the maps, so that the device is at work while the host goes on; `finish` comes after.
-        Returns whether `posed` tells of them already: of arrays yet to be filled, without the sides of narrow gaps."""
+        Returns whether `posed` has them already: with arrays yet to be filled, without the sides of narrow gaps."""
         self._cages, self._structs, self._laid, self.array = list(cages), [], None, None
         for cage in cages:
             if cage is not None and (cage.size == 0.0 or size_problem(cage)):  # no lattice at all
@@ -160,7 +160,7 @@ class EditLattices:
         self.skips = [buffer.take(shape) for buffer, shape in zip(self._skip_buffers, shapes, strict=True)]
         for struct, cells, skip in zip(self._structs, self._cells, self.skips, strict=True):
             struct.cells, struct.skip = cells, skip
-            self._mark_buffer.take(skip.shape)  # which `mark_empty` asks for again
+            self._mark_buffer.take(skip.shape)  # which `mark_empty` takes again
         self._laid = list(maps)
 
     def _posed_map(self, index: int, cage: Cage | None) -> Any:
@@ -175,7 +175,7 @@ class EditLattices:
         return faded_map(data, walls, self._faded[index])
 
     def _extended_map(self, index: int, cage: Cage | None) -> Any:
-        """The same, on a lattice that reaches as far as the edit's fragments where it has any."""
+        """The map, on a lattice that reaches as far as the edit's fragments where it has any."""
         carried, faded = self.carried[index], self._faded[index]
         if carried is None or cage is None:
             return faded
@@ -222,8 +222,8 @@ class EditLattices:
         self.marked_step = 0.0
 
     def mark_empty(self, grid: Any, step: float) -> bool:
-        """Find the cells that a march by `step`, world units, through the deformed grid may skip, and tell whether they
-        were looked for: not again for the same pose, the same matter and no longer step."""
+        """Find the cells that a march by `step`, world units, through the deformed grid may skip.
+        Returns whether it did: not again for the same pose, the same matter and no longer step."""
         if step <= self.marked_step and grid.skip is self._marked_skip:
             return False
         self.marked_step = 0.0  # an interrupt leaves tables that are half written

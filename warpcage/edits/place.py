@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_easing, checked_number, checked_positive, checked_vector, real_array, shown
 from ..core.files import PathLike, atomic_path, errors_of, read_document, require_file
-from ..core.names import LOOPS, Easing, require_name
+from ..core.names import LOOPS, Easing, checked_choice
 from ..errors import InputError
 from ..view.camera import Camera
 from ..view.motion import axis_rotation, value_at
@@ -20,9 +20,9 @@ from .spec import Checker, anything, checked_keys
 
 _FORMAT, _VERSION = "warpcage place", 1
 
-#: Words of a place, and of a file that has places at times.
-_WORDS: dict[str, Checker] = dict.fromkeys(("position", "turn", "scale", "matrix"), anything)
-PLACE_KEYS = frozenset((*_WORDS, "keys"))
+#: Keys of a place, and those of a place file.
+_KEYS: dict[str, Checker] = dict.fromkeys(("position", "turn", "scale", "matrix"), anything)
+PLACE_KEYS = frozenset((*_KEYS, "keys"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,12 +105,12 @@ class PlaceFile:
 
     A file of one place is `{"position": [1, 0, 0], "turn": [0, 0, 90], "scale": 0.5}`, each of them optional, or
     `{"matrix": ...}`, (4, 4). A file of several is `{"keys": [{"time": 0, "position": ..., "easing": "smooth"}, ...]}`,
-    with `loop` where it was given. Positions move along smooth ways, turns by their degrees: 0 to 360 is once around.
+    with `loop` where it was given. Positions move along smooth curves; turns by their degrees: 0 to 360 is once around.
 
     Args:
         places: A Place, or Places by their times, seconds.
-        easings: How the way from a key to the next goes, by its time: a word or a curve, as in pose files. A key
-            without one has "smooth".
+        easings: The easing from a key to the next, by its time: a name or a curve, as in pose files. A key without
+            one has "smooth".
         loop: What the film does at its end, "once", "loop" or "ping-pong". None leaves it open.
 
     Raises:
@@ -143,7 +143,7 @@ class PlaceFile:
             if time not in self.places:
                 raise InputError(f"an easing is of {time!r} s, at which there is no place")
             self.easings[time] = checked_easing(easing, "the easing of a place")
-        self.loop = None if loop is None else require_name(loop, LOOPS, "loop")
+        self.loop = None if loop is None else checked_choice(loop, "loop", LOOPS)
 
     @property
     def length(self) -> float:
@@ -157,7 +157,7 @@ class PlaceFile:
             seconds: The time.
 
         Returns:
-            The place; `warpcage.view.motion.value_at` says how it goes.
+            The place, interpolated by `warpcage.view.motion.value_at`.
         """
         seconds, times, places = checked_number(seconds, "the time of a stage"), [*self.places], [*self.places.values()]
         easings = [self.easings.get(time, "smooth") for time in times]
@@ -186,7 +186,7 @@ class PlaceFile:
 
     @classmethod
     def from_json(cls, content: Any) -> PlaceFile:
-        """The places of a file's content.
+        """The places of the content of a file.
 
         Args:
             content: What JSON held.
@@ -195,11 +195,11 @@ class PlaceFile:
             The places.
 
         Raises:
-            ValueError: For words that are not known, or values that cannot be.
+            ValueError: For keys that are not known, or values out of range.
         """
         if not isinstance(content, Mapping):
             raise InputError(f"a place must be an object with a position, a turn or a scale, got {shown(content)}")
-        content = {word: value for word, value in content.items() if word not in ("format", "version")}
+        content = {key: value for key, value in content.items() if key not in ("format", "version")}
         if "keys" not in content:
             return cls(_place(content, {}))
         given = checked_keys(content, {"keys": anything, "loop": anything}, "a place file")
@@ -231,7 +231,7 @@ class PlaceFile:
             ValueError: What is wrong in which file.
         """
         path = require_file(path, "place file")
-        with errors_of(path, "place file"):  # one made by hand may say neither format nor version
+        with errors_of(path, "place file"):  # one without format and version is read too
             content = read_document(path, "place file", _FORMAT, _VERSION, format=_FORMAT, version=_VERSION)
             return cls.from_json(content)
 
@@ -257,15 +257,15 @@ def seen_from(place: Place, camera: Camera) -> Camera:
 
 
 def near_turn(turn: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """(3,) the degrees of a turn that are nearest to other ones, so that what turns on goes on from there."""
+    """(3,) the degrees of the same turn that are nearest to those of another one, for a continuous motion."""
     other = np.array([turn[0] + 180.0, 180.0 - turn[1], turn[2] + 180.0])  # the same rotation
     near = [each + 360.0 * np.round((before - each) / 360.0) for each in (turn, other)]
     return min(near, key=lambda each: float(np.abs(each - before).sum()))
 
 
 def _place(content: Mapping[str, Any], beside: dict[str, Checker]) -> Place:
-    """A place of JSON; beside: other words that its object may have."""
-    given = {word: value for word, value in checked_keys(content, _WORDS | beside, "a place").items() if word in _WORDS}
+    """A place from JSON; beside: other keys that its object may have."""
+    given = {key: value for key, value in checked_keys(content, _KEYS | beside, "a place").items() if key in _KEYS}
     if "matrix" not in given:
         return Place(**given)
     if len(given) > 1:
@@ -274,7 +274,7 @@ def _place(content: Mapping[str, Any], beside: dict[str, Checker]) -> Place:
 
 
 def as_places(place: Place | PlaceFile | ArrayLike | PathLike | None) -> PlaceFile:
-    """What callers give as a place: one, places at times, a matrix (4, 4), a file; None is that of the stage itself."""
+    """The places of an argument: a Place, a PlaceFile, a matrix (4, 4) or a file; None is the origin of the stage."""
     if isinstance(place, PlaceFile):
         return place
     if place is None or isinstance(place, Place):

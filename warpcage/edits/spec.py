@@ -1,4 +1,4 @@
-"""Words of files: checks of JSON, an edit in words, and what names a pose."""
+"""Specs in files: checks of JSON values, the spec of an edit, and references to poses."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, get_type_hints
 
 from ..cage.random_poses import POSE_MODES, RandomPoseOptions
-from ..core.checks import checked_number, checked_positive, checked_whole, listed, shown
-from ..core.names import BACKGROUNDS, TRANSPARENT, renamed_keys
+from ..core.checks import checked_flag, checked_number, checked_whole, listed, shown
+from ..core.names import BACKGROUNDS, TRANSPARENT, checked_choice, renamed_keys
 from ..errors import InputError
 
-#: Takes a value of JSON and the word that it stands at, and returns it as items have it.
+#: Takes a JSON value and its name in messages; returns the checked value.
 Checker = Callable[[Any, str], Any]
 
-#: Names that items and outputs have: parts between slashes, none of which is hidden or leads up.
+#: Names of items and outputs: parts between slashes, none of which is hidden or leads up.
 _PART = re.compile(r"\w[\w.\-]*")
 
 _NAME = re.compile(r"\w[\w.\-]*(?:/\w[\w.\-]*)*", re.ASCII)
 
-#: A file, and what is meant of what it holds.
+#: A file, and a part of its content.
 _PLACE = re.compile(r"(.+\.(npy|json|glb|gltf))#(.+)", re.IGNORECASE | re.DOTALL)
 
-#: Bytes that a part of such a name has at most, so that there is room for a temporary name beside it.
+#: Longest part of such a name in bytes, which leaves room for a temporary name, and longest name.
 MAX_PART, MAX_SAFE_NAME = 200, 1000
 
 
-def safe_name(value: Any, word: str) -> str:
+def safe_name(value: Any, name: str) -> str:
     """A name below a folder: letters, digits, `_`, `-` and `.` between slashes."""
     if isinstance(value, str) and len(value) <= MAX_PART and _NAME.fullmatch(value):
         return value  # as nearly all are
@@ -37,109 +37,78 @@ def safe_name(value: Any, word: str) -> str:
     good = all(_PART.fullmatch(part) and len(part.encode("utf-8", "replace")) <= MAX_PART for part in parts)
     if not good or len(value) > MAX_SAFE_NAME:
         raise InputError(
-            f'{word} must be a relative name of letters, digits, "_", "-" and ".", with "/" between folders, '
+            f'{name} must be a relative name of letters, digits, "_", "-" and ".", with "/" between folders, '
             f'such as "shot/frame_0001", got {shown(value)}'
         )
     return value
 
 
-def text(value: Any, word: str) -> str:
+def text(value: Any, name: str) -> str:
     """A text that can name a file."""
     try:
         if isinstance(value, str) and value.strip() and "\0" not in value and value.encode():
             return value
     except UnicodeEncodeError:
         pass
-    raise InputError(f"{word} must be a text, got {shown(value)}")
+    raise InputError(f"{name} must be a text, got {shown(value)}")
 
 
-def truth(value: Any, word: str) -> bool:
-    """True or false."""
-    if not isinstance(value, bool):
-        raise InputError(f"{word} must be true or false, got {shown(value)}")
-    return value
-
-
-def number(value: Any, word: str) -> float:
-    """A finite number."""
-    if isinstance(value, bool):
-        raise InputError(f"{word} must be one finite number, got {value!r}")
-    return checked_number(value, word)
-
-
-def not_negative(value: Any, word: str) -> float:
-    """A finite number of at least 0."""
-    found = number(value, word)
-    if found < 0.0:
-        raise InputError(f"{word} must be 0 or more, got {found:g}")
-    return found
-
-
-def positive(value: Any, word: str) -> float:
-    """A finite number above 0."""
-    return checked_positive(number(value, word), word)
-
-
-def numbers(value: Any, word: str, count: int) -> tuple[float, ...]:
+def numbers(value: Any, name: str, count: int) -> tuple[float, ...]:
     """As many finite numbers."""
     if not isinstance(value, list | tuple) or len(value) != count:
-        raise InputError(f"{word} must be {count} numbers, got {shown(value)}")
-    return tuple(number(each, word) for each in value)
+        raise InputError(f"{name} must be {count} numbers, got {shown(value)}")
+    return tuple(checked_number(each, name) for each in value)
 
 
-def background(value: Any, word: str) -> Any:
+def background(value: Any, name: str) -> Any:
     """The colour behind a picture, or none."""
     if isinstance(value, str) and value in (*BACKGROUNDS, TRANSPARENT):
         return value
     if isinstance(value, list | tuple):
-        color = numbers(value, word, 3)
+        color = numbers(value, name, 3)
         if min(color) >= 0.0 and max(color) <= 1.0:
             return color
     known = ", ".join((*BACKGROUNDS, TRANSPARENT))
-    raise InputError(f"{word} must be one of {known}, or three numbers in [0, 1], got {shown(value)}")
+    raise InputError(f"{name} must be one of {known}, or three numbers in [0, 1], got {shown(value)}")
 
 
-def color(value: Any, word: str) -> Any:
+def color(value: Any, name: str) -> Any:
     """A colour."""
     if value == TRANSPARENT:
-        raise InputError(f"{word} must be a colour, got {value!r}")
-    return background(value, word)
+        raise InputError(f"{name} must be a colour, got {value!r}")
+    return background(value, name)
+
+
+not_negative: Checker = functools.partial(checked_number, minimum=0.0)
 
 
 def one_of(*names: str) -> Checker:
     """A checker of names."""
-
-    def check(value: Any, word: str) -> str:
-        if not isinstance(value, str) or value not in names:
-            raise InputError(f"{word} must be one of {', '.join(names)}, got {shown(value)}")
-        return value
-
-    return check
+    return functools.partial(checked_choice, choices=names)
 
 
-def whole(least: int, most: int | None = None) -> Checker:
-    """A checker of whole numbers."""
-    return lambda value, word: checked_whole(value, word, least, most)
+def whole(minimum: int, maximum: int | None = None) -> Checker:
+    """A checker of whole numbers in a range."""
+    return functools.partial(checked_whole, minimum=minimum, maximum=maximum)
 
 
-def anything(value: Any, word: str) -> Any:
+def anything(value: Any, name: str) -> Any:
     """Any JSON."""
     return value
 
 
 def checked_keys(entry: Mapping[str, Any], known: Mapping[str, Checker], what: str) -> dict[str, Any]:
-    """The words of an object, each checked; null is a word that was left out."""
+    """The values of a JSON object by key, each checked; null is a key that was left out."""
     if not isinstance(entry, Mapping):
         raise InputError(f"{what} must be an object, got {shown(entry)}")
-    unknown = next((word for word in entry if word not in known), None)
+    unknown = next((key for key in entry if key not in known), None)
     if unknown is not None:
         raise InputError(f"{what} has no {shown(unknown)}, only {listed(known, most=40)}")
-    return {word: known[word](value, repr(word)) for word, value in entry.items() if value is not None}
+    return {key: known[key](value, repr(key)) for key, value in entry.items() if value is not None}
 
 
 def split_reference(reference: str) -> tuple[str, str]:
-    """The file that a word refers to, and the place in it ("file#place" of a .npy, .json or glTF file); "" for all of
-    it."""
+    """The file and the place of a reference "file#place" to a .npy, .json or glTF file; "" for all of the file."""
     found = _PLACE.fullmatch(reference)
     return (found[1], found[3]) if found else (reference, "")
 
@@ -152,74 +121,74 @@ def plain(value: Any) -> Any:
 
 
 def canonical(value: Any) -> str:
-    """The one text of a JSON value: sorted words and no spaces."""
+    """The canonical text of a JSON value: sorted keys and no spaces."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
 
 
-#: The word of a pose that is drawn.
+#: The key of a pose that is drawn at random.
 RANDOM = "random"
 
 
-def _pair(value: Any, word: str) -> list[float]:
-    return list(numbers(value, word, 2))
+def _pair(value: Any, name: str) -> list[float]:
+    return list(numbers(value, name, 2))
 
 
-def _modes(value: Any, word: str) -> list[str]:
+def _modes(value: Any, name: str) -> list[str]:
     if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
-        raise InputError(f"{word} must be a list of some of {', '.join(POSE_MODES)}, got {shown(value)}")
+        raise InputError(f"{name} must be a list of some of {', '.join(POSE_MODES)}, got {shown(value)}")
     return value
 
 
-_WORDS: dict[str, Checker] = {"seed": whole(0), "number": whole(0), "stretch": _pair, "reach": _pair, "modes": _modes}
+_RANDOM: dict[str, Checker] = {"seed": whole(0), "number": whole(0), "stretch": _pair, "reach": _pair, "modes": _modes}
 
 
-def drawn_pose(value: Any, word: str) -> dict[str, Any]:
-    """The words of a drawn pose, checked, with those that were left out, so that a hash of it is one of the pose.
-    value: {"random": {"seed": 0, "number": 12}}; `stretch`, `reach` and `modes` if they are not usual."""
+def drawn_pose(value: Any, name: str) -> dict[str, Any]:
+    """The spec of a random pose, checked, with its defaults, so that equal poses have equal hashes.
+    value: {"random": {"seed": 0, "number": 12}}, and `stretch`, `reach` and `modes` that are not the default."""
     if set(value) != {RANDOM} or not isinstance(value[RANDOM], dict):
-        raise InputError(f'{word} must be an array, or {{"random": {{"seed": 0, "number": 12}}}}, got {shown(value)}')
-    given = checked_keys(value[RANDOM], _WORDS, f"{RANDOM!r} of {word}")
+        raise InputError(f'{name} must be an array, or {{"random": {{"seed": 0, "number": 12}}}}, got {shown(value)}')
+    given = checked_keys(value[RANDOM], _RANDOM, f"{RANDOM!r} of {name}")
     if "number" not in given:
-        raise InputError(f"{RANDOM!r} of {word} needs a 'number', which of the poses of its seed it is")
+        raise InputError(f"{RANDOM!r} of {name} needs a 'number', which of the poses of its seed it is")
     bounds = {name: tuple(given[name]) for name in given if name not in ("seed", "number")}
     return {RANDOM: {"seed": given.get("seed", 0), "number": given["number"], **_bounds(**bounds)}}
 
 
 def drawn_pose_spec(chance: RandomPoseOptions, number: int) -> dict[str, Any]:
-    """The "posed" by which a line of a job file names a random pose: without what is usual."""
-    usual, found = _bounds(), _bounds(stretch=chance.stretch, reach=chance.reach, modes=chance.modes)
-    own = {name: value for name, value in found.items() if value != usual[name]}
-    return {RANDOM: {"seed": chance.seed, "number": number, **own}}
+    """The "posed" by which a line of a job file names a random pose: without defaults."""
+    defaults, found = _bounds(), _bounds(stretch=chance.stretch, reach=chance.reach, modes=chance.modes)
+    changed = {name: value for name, value in found.items() if value != defaults[name]}
+    return {RANDOM: {"seed": chance.seed, "number": number, **changed}}
 
 
 @functools.lru_cache(maxsize=1024)
-def _bounds(**words: Any) -> dict[str, list]:
+def _bounds(**options: Any) -> dict[str, list]:
     """Stretch, reach and modes, checked once for all poses that share them."""
-    chance = RandomPoseOptions(**words)
+    chance = RandomPoseOptions(**options)
     return {name: list(getattr(chance, name)) for name in ("stretch", "reach", "modes")}
 
 
-def _cage(value: Any, word: str) -> Any:
+def _cage(value: Any, name: str) -> Any:
     if isinstance(value, dict):
         if set(value) != {"vertices", "faces"}:
-            raise InputError(f'{word} must be a cage file, or "vertices" and "faces", got {shown(value)}')
-        return {name: _array(each, f"{name!r} of {word}") for name, each in value.items()}
-    return text(value, word)
+            raise InputError(f'{name} must be a cage file, or "vertices" and "faces", got {shown(value)}')
+        return {name: _array(each, f"{name!r} of {name}") for name, each in value.items()}
+    return text(value, name)
 
 
-def _array(value: Any, word: str) -> Any:
+def _array(value: Any, name: str) -> Any:
     if isinstance(value, list) and value:
         return value
     if isinstance(value, str) and value:
-        return text(value, word)
-    raise InputError(f'{word} must be an array: "file.npy", "file.npy#17" or a list of [x, y, z], got {shown(value)}')
+        return text(value, name)
+    raise InputError(f'{name} must be an array: "file.npy", "file.npy#17" or a list of [x, y, z], got {shown(value)}')
 
 
-def _posed(value: Any, word: str) -> Any:
-    return drawn_pose(value, word) if isinstance(value, dict) else _array(value, word)
+def _posed(value: Any, name: str) -> Any:
+    return drawn_pose(value, name) if isinstance(value, dict) else _array(value, name)
 
 
-def held_walls(value: Any, word: str) -> str | tuple[int, ...]:
+def held_walls(value: Any, name: str) -> str | tuple[int, ...]:
     """The walls that an edit fades towards: "cut", "still", or numbers of faces, in a list or between commas."""
     if value in ("cut", "still"):
         return value
@@ -230,17 +199,17 @@ def held_walls(value: Any, word: str) -> str | tuple[int, ...]:
             value = None
     if isinstance(value, list | tuple) and value and all(type(each) is int and each >= 0 for each in value):
         return tuple(value)
-    raise InputError(f'{word} must be "cut", "still", or numbers of faces such as [4, 5, 17], got {shown(value)}')
+    raise InputError(f'{name} must be "cut", "still", or numbers of faces such as [4, 5, 17], got {shown(value)}')
 
 
 @dataclasses.dataclass(frozen=True)
 class EditSpec:
-    """One edit with the words of `warpcage.CageEdit`, as job files, edits files and --edit have it."""
+    """One edit with the names of `warpcage.CageEdit`, in job files, edits files and --edit."""
 
     cage: Annotated[Any, _cage]  # at rest: a file, or "vertices" and "faces"
     posed: Annotated[Any, _posed] = None  # file, keyframe ("poses.json#wave"), array, or what draws it; None removes
-    keep: Annotated[bool, truth] = False  # keep: leave a copy where it was; remove: draw nothing in its place
-    remove: Annotated[bool, truth] = False
+    keep: Annotated[bool, checked_flag] = False  # keep: leave a copy where it was; remove: draw nothing in its place
+    remove: Annotated[bool, checked_flag] = False
     falloff: Annotated[float | None, not_negative] = None  # width of the band in which it fades to rest, world units
     held: Annotated[str | tuple[int, ...], held_walls] = "cut"  # walls that it fades towards: "cut", "still", or faces
     fragments: Annotated[float | None, not_negative] = None  # size of what goes with the part too, world units
@@ -268,12 +237,12 @@ class EditSpec:
 
     @property
     def held_text(self) -> str:
-        """`held` in a word: numbers of faces between commas."""
+        """`held` as text: numbers of faces between commas."""
         return self.held if isinstance(self.held, str) else ",".join(map(str, self.held))
 
     @classmethod
     def from_json(cls, entry: Any, what: str) -> EditSpec:
-        """An edit from JSON; what: how messages call it. Raises ValueError for words that cannot be."""
+        """An edit from JSON; what: its name in messages. Raises ValueError for keys and values that cannot be."""
         try:
             if not isinstance(entry, Mapping):
                 raise InputError(f"it must be an object with a cage, got {shown(entry)}")
@@ -285,13 +254,13 @@ class EditSpec:
             raise InputError(f"{what}: {error}") from None
 
     def to_json(self) -> dict[str, Any]:
-        """The edit as JSON: what differs from the default; no width is as none."""
+        """The edit as JSON: what differs from the default; a width of 0 is the same as None."""
         fields = ((field.name, getattr(self, field.name), field.default) for field in dataclasses.fields(self))
-        return {name: plain(value) for name, value, usual in fields if value not in (usual, 0.0)}
+        return {name: plain(value) for name, value, default in fields if value not in (default, 0.0)}
 
     @property
     def is_drawn(self) -> bool:
-        """Whether its pose is drawn by whoever makes it."""
+        """Whether its pose is drawn at random."""
         return isinstance(self.posed, dict)
 
     @property
@@ -301,7 +270,7 @@ class EditSpec:
 
 
 def checkers(fields: type) -> dict[str, Checker]:
-    """What checks each field of a class, where its annotation says so."""
+    """The checker of each field of a class, from its annotation."""
     hints = get_type_hints(fields, include_extras=True).items()
     return {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
 

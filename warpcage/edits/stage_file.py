@@ -18,13 +18,13 @@ from .edits import CageEdit, edit_from_spec, edit_spec
 from .place import PlaceFile
 from .spec import Checker, EditSpec, anything, checked_keys
 
-#: Version 1 calls the objects things; both are read.
+#: Version 1 has another key for "objects", which is read too.
 _FORMAT, _VERSION = "warpcage stage", 2
 
 #: How a stage file ends.
 STAGE_ENDING = ".stage.json"
 
-#: Words of an object, and options of Deformers that the file keeps.
+#: Keys of an object, and options of Deformers that the file keeps.
 _OBJECT: dict[str, Checker] = dict.fromkeys(("name", "field", "place", "hidden", "deformation"), anything)
 _OPTIONS: dict[str, Checker] = dict.fromkeys(("coordinates", "resolution", "density", "store", "map"), anything)
 
@@ -53,19 +53,13 @@ def read_stage_file(path: PathLike) -> list[dict[str, Any]]:
     with errors_of(path, "scene file"):
         content = read_document(path, "scene file", _FORMAT, _VERSION)
         objects = renamed_keys(content, {"objects": "things"}).get("objects")
-        if (
-            not isinstance(objects, list)
-            or not objects
-            or not all(isinstance(scene_object, dict) for scene_object in objects)
-        ):
+        if not isinstance(objects, list) or not objects or not all(isinstance(each, dict) for each in objects):
             raise InputError("'objects' must be a list of at least one object")
-        entries = [
-            checked_keys(scene_object, _OBJECT, f"object {number}") for number, scene_object in enumerate(objects, 1)
-        ]
+        entries = [checked_keys(each, _OBJECT, f"object {number}") for number, each in enumerate(objects, 1)]
         for number, entry in enumerate(entries, 1):
-            for word in ("name", "field"):
-                if not isinstance(entry.get(word), str) or not entry[word].strip():
-                    raise InputError(f"object {number} needs a {word}")
+            for key in ("name", "field"):
+                if not isinstance(entry.get(key), str) or not entry[key].strip():
+                    raise InputError(f"object {number} needs a {key}")
             entry["place"] = PlaceFile.from_json(entry.get("place", {}))
         return entries
 
@@ -74,23 +68,23 @@ def deformation_json(
     options: Mapping[str, Any], edits: Sequence[CageEdit], poses: Sequence[Cage | None]
 ) -> dict[str, Any]:
     """The options of a Deformer, its edits and their poses, as the file has them."""
-    words = []
+    specs = []
     for edit, posed in zip(edits, poses, strict=True):
         cage = {"vertices": edit.cage.vertices.tolist(), "faces": edit.cage.faces.tolist()}
-        words.append(edit_spec(edit, cage, None if posed is None else posed.vertices.tolist()))
-    return {**options, "edits": [each.to_json() for each in words]}
+        specs.append(edit_spec(edit, cage, None if posed is None else posed.vertices.tolist()))
+    return {**options, "edits": [each.to_json() for each in specs]}
 
 
 def read_deformation(content: Any) -> tuple[dict[str, Any], list[CageEdit], list[Cage | None]]:
     """Options, edits and poses of what `deformation_json` made."""
     try:
         options = {name: value for name, value in content.items() if name != "edits"}
-        words = [EditSpec.from_json(entry, f"edit {number}") for number, entry in enumerate(content["edits"], 1)]
+        specs = [EditSpec.from_json(entry, f"edit {number}") for number, entry in enumerate(content["edits"], 1)]
         checked_keys(options, _OPTIONS, "it")
-        edits = [edit_from_spec(each, Cage(each.cage["vertices"], each.cage["faces"])) for each in words]
+        edits = [edit_from_spec(each, Cage(each.cage["vertices"], each.cage["faces"])) for each in specs]
         poses = [
             None if each.posed is None else edit.cage.with_vertices(np.asarray(each.posed))
-            for edit, each in zip(edits, words, strict=True)
+            for edit, each in zip(edits, specs, strict=True)
         ]
         return options, edits, poses
     except DAMAGED as error:

@@ -11,6 +11,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "sparse": "DensityWatch harmonics_on_device harmonics_on_host spread_along",
         "surface": "extract_mesh surface_density",
         "surroundings": "LayeredBackground OuterField",
-        "tables": "ColumnTable PACKED_WORDS row_table shaded_grid",
+        "tables": "ColumnTable PACKED_UINT32S row_table shaded_grid",
     },
 )

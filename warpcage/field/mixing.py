@@ -9,8 +9,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.locks import device_turn
 from ..core.memory import require_memory
+from ..core.threads import device_turn
 from .sparse import harmonics_on_host
 from .voxel_field import VoxelField
 

@@ -1,18 +1,29 @@
-"""What all renderers of a field share: a view as it is asked for, the arrays of its picture, and how a frame ends."""
+"""What all renderers share: the options of a frame, a checked view, the arrays of its picture, and the last steps."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import array_view, empty_array
+from ..core.checks import checked_flag, checked_positive, require_type
 from ..core.devices import SpareMemory
+from ..core.names import TRANSPARENT
 from ..view.camera import Camera, tile_threads
-from ..view.frame import PART_NAMES, Frame, average_frame, checked_supersampling, finer_camera, part_type
+from ..view.frame import (
+    PART_NAMES,
+    Frame,
+    average_frame,
+    checked_supersampling,
+    finer_camera,
+    part_type,
+    view_background,
+)
 from .surroundings import LayeredBackground, OuterField
 
 if TYPE_CHECKING:
@@ -22,8 +33,56 @@ if TYPE_CHECKING:
 STOP_TRANSMITTANCE = 1e-3
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class RenderOptions:
+    """How a frame is rendered; None is the scene's own. Renderers ignore or refuse options of other kinds of scenes."""
+
+    background: str | ArrayLike | None = None  # colour behind the scene, a name or (3,) in [0, 1]
+    supersampling: int | None = None  # rays along each side of a pixel, 1 to 8
+    antialias: bool | None = None  # splats: weaken those that the blur of the picture makes larger (Mip-Splatting)
+    step: float | None = None  # voxels and sampled fields: march step, world units
+    step_scale: float = 1.0  # voxels: factor on the field's own march step; more than 1 is faster and coarser
+    fill: bool = False  # voxels: fill what an edit uncovers and no picture showed, see `fill_unseen`
+
+    def __post_init__(self) -> None:
+        if self.background is not None:
+            view_background(self.background)
+        if self.supersampling is not None:
+            checked_supersampling(self.supersampling)
+        if self.antialias is not None:
+            checked_flag(self.antialias, "antialias")
+        if self.step is not None:
+            checked_positive(self.step, "the march step")
+        checked_positive(self.step_scale, "step_scale")
+        checked_flag(self.fill, "fill")
+
+    @property
+    def is_transparent(self) -> bool:
+        """Whether pictures have opacity instead of a background."""
+        return isinstance(self.background, str) and self.background == TRANSPARENT
+
+    def color(self, default: np.ndarray) -> np.ndarray:
+        """(3,) float32 colour behind the picture."""
+        return default if self.background is None else view_background(self.background)
+
+    def side(self, default: int) -> int:
+        """Rays along each side of a pixel."""
+        return default if self.supersampling is None else int(self.supersampling)
+
+
+class RenderTarget(NamedTuple):
+    """Where a frame is rendered to."""
+
+    arrays: dict[str, wp.array] | None = None  # (h * w,) each, by the names of the frame's parts; None makes new ones
+    is_again: bool = False  # whether a view of the same call came before: densities are as it found them
+
+
+#: A frame of its own, in new arrays.
+NEW_TARGET = RenderTarget()
+
+
 class FieldView(NamedTuple):
-    """A view of a field that was asked for, checked."""
+    """A checked view of a field."""
 
     field: VoxelField
     camera: Camera
@@ -33,11 +92,10 @@ class FieldView(NamedTuple):
     work: float  # steps that a ray may take, as `core.devices.launch` has them
     color: np.ndarray  # behind the picture, black where there are layers
     layers: LayeredBackground | OuterField | None
-    background: Any  # as the caller gave it
-    supersampling: int
-    masks: Sequence[str] = ()
-    into: dict[str, wp.array] | None = None  # arrays (h * w,) to fill; None makes new ones
-    is_again: bool = False  # whether a view of the same call came before: densities are as it found them
+    options: RenderOptions
+    side: int  # rays along each side of a pixel
+    masks: Sequence[str]
+    target: RenderTarget
 
     @property
     def threads(self) -> int:
@@ -45,38 +103,39 @@ class FieldView(NamedTuple):
         return tile_threads(self.rays)
 
 
-def asked_view(
+def field_view(
     field: VoxelField,
     camera: Camera,
-    background: str | ArrayLike | None,
-    step: float | None,
-    supersampling: int | None,
-    **more: Any,
+    options: RenderOptions,
+    masks: Sequence[str] = (),
+    target: RenderTarget = NEW_TARGET,
 ) -> FieldView:
-    """The view that the arguments of `render` ask for. more: the last fields of a FieldView."""
-    step, work = field.march_step(step, camera)
-    color, layers = field.chosen_background(background)
-    side = checked_supersampling(field.supersampling if supersampling is None else supersampling)
+    """The view of a field by a camera, with these masks."""
+    require_type(camera, Camera, "render needs")
+    scale = options.step_scale
+    step, work = field.march_step(options.step if scale == 1.0 else scale * (options.step or field.step), camera)
+    color, layers = field.chosen_background(options.background)
+    side = options.side(field.supersampling)
     center = wp.vec3(*(camera.center - field.center).tolist())
     rays = finer_camera(camera, side)
-    return FieldView(field, camera, rays, center, step, work, color, layers, background, side, **more)
+    return FieldView(field, camera, rays, center, step, work, color, layers, options, side, masks, target)
 
 
 def new_picture(view: FieldView) -> dict[str, wp.array]:
     """Arrays (rays,) for a march to fill, by the names of a Frame's parts and masks."""
-    if view.into is not None and view.supersampling == 1:
-        return view.into
+    if view.target.arrays is not None and view.side == 1:
+        return view.target.arrays
     field, count = view.field, view.rays.width * view.rays.height
     return picture_arrays(count, (*PART_NAMES, *view.masks), field.device, field.marching.spare)
 
 
 def finish_frame(view: FieldView, arrays: dict[str, wp.array]) -> Frame:
-    """The frame of a view whose rays were marched: with what is around the field, its rays averaged to pixels."""
+    """The frame of a marched view: adds what is around the field, and averages rays to pixels."""
     if view.layers is not None:
         dimmed = [arrays[name] for name in view.masks]
         view.layers.add_around(view.rays, arrays["rgb"], arrays["alpha"], arrays["depth"], dimmed)
-    frame = average_frame(Frame(view.rays.width, view.rays.height, **arrays), view.supersampling, view.into)
-    return frame.seen_by(view.camera, None if view.layers else view.color, view.background)
+    frame = average_frame(Frame(view.rays.width, view.rays.height, **arrays), view.side, view.target.arrays)
+    return frame.seen_by(view.camera, None if view.layers else view.color, view.options.background)
 
 
 def picture_arrays(

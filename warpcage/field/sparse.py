@@ -20,7 +20,7 @@ from .io.field_file import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS, as_singl
 
 
 class DensityWatch:
-    """Tells whether densities on a CPU are those of the last time, whoever wrote to them; takes a copy for it."""
+    """Whether densities on a CPU have changed since the last comparison; keeps a copy to compare with."""
 
     def __init__(self) -> None:
         self._kept: wp.array | None = None
@@ -42,7 +42,7 @@ class DensityWatch:
         return changed
 
 
-#: Bytes behind those that marches read, as a GPU reads whole words of them (kernels/core/loads.row_has_zero).
+#: Bytes behind those that marches read, as a GPU reads whole uint32s of them (kernels/core/loads.row_has_zero).
 PADDING = 3
 
 
@@ -124,7 +124,7 @@ class MatterSkip:
     """How far each cell is from the nearest in which there is any matter, for the densities as they are."""
 
     # Rows reach further than matter: marches that know this look at half as many samples. Densities may change at any
-    # time, in a fit or a caller's hands: what this holds depends on their signs alone, compared at each call.
+    # time, by a fit or a caller: what this holds depends on their signs alone, compared at each call.
 
     def __init__(self, links: wp.array):
         self._links = links
@@ -140,7 +140,7 @@ class MatterSkip:
     def compare(self, density: wp.array) -> None:
         """Launch the comparison of densities (rows,) float32, before the ReLU, that `distance` asks for.
         What is launched in between has the device at work while the host waits."""
-        self._settle()  # what was found, and nobody has asked for
+        self._settle()  # a result that no call has taken
         device = self._links.device
         if self._positive is None or self._positive.size != density.size:
             self._positive, self._distance = wp.zeros(density.size, dtype=wp.uint8, device=device), None
@@ -160,7 +160,7 @@ class MatterSkip:
 
     def distance(self, density: wp.array) -> wp.array:
         """(nx-1, ny-1, nz-1) uint8 Chebyshev distance in cells, 0 in cells with a density above zero at a corner.
-        Another array whenever any of it changes. density: that of the last `compare`, if nobody has asked since."""
+        Another array whenever any of it changes. density: that of the last `compare`, if no call has asked since."""
         if not self._is_compared:
             self.compare(density)
         self._settle()
@@ -220,17 +220,15 @@ def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
     elif host.ndim != 2 or host.shape[1] != LUMINANCE_NUMBERS:
         raise InputError(f"sh must be (rows, 9, 3) or (rows, 24), got {host.shape}")
     if host.dtype == np.float16 and device.is_cuda:
-        return _widened(wp.array(np.ascontiguousarray(host), dtype=wp.float16, device=device))
+        halves, singles = (
+            wp.array(np.ascontiguousarray(host), device=device),
+            empty_array(host.shape, wp.float32, device),
+        )
+        launch(grid_refine.widen_rows, halves.size // int(grid_refine.RUN), [halves], [singles], device=device)
+        return singles
     if host.dtype == np.float16:
         host = as_single(host)
     return wp.array(np.ascontiguousarray(host, np.float32), dtype=wp.float32, device=device)
-
-
-def _widened(halves: wp.array) -> wp.array:
-    """(rows, n) float16 as float32."""
-    singles = empty_array(halves.shape, wp.float32, halves.device)
-    launch(grid_refine.widen_rows, halves.size // int(grid_refine.RUN), [halves], [singles], device=halves.device)
-    return singles
 
 
 def harmonics_on_host(sh: wp.array) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The surface of a field as a mesh, and its colors as a viewer sees them who looks straight at it."""
+"""The surface of a field as a mesh, and its colours as seen along the normals."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import Cuts, checked_positive
+from ..core.names import checked_choice
 from ..errors import InputError
 from ..mesh.mesh import connected_parts
 from ..view.pictures import PictureCuts
@@ -38,7 +39,7 @@ class DensityField(Protocol):
 
 
 class ColorField(DensityField, Protocol):
-    """A field with colors towards directions too."""
+    """A field with view-dependent colours too."""
 
     background: np.ndarray  # (3,) behind everything
 
@@ -55,8 +56,7 @@ def extract_mesh(
     import skimage.measure
     import trimesh
 
-    if components not in ("largest", "all"):
-        raise InputError(f"components must be 'largest' or 'all', got {components!r}")
+    checked_choice(components, "components", ("largest", "all"))
     densities, voxel_size = node_grid(field)
     if threshold is None:
         threshold = surface_density(densities, voxel_size)

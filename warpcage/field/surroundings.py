@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from ..core.arrays import PointsLike, as_given, as_host_points, empty_array
 from ..core.checks import checked_positive, checked_vector
 from ..core.devices import launch, resolve_device
-from ..core.locks import device_turn, in_turn
 from ..core.modules import Kernel
 from ..core.names import counted
+from ..core.threads import device_turn, in_turn
 from ..errors import InputError
 from ..kernels.field.background import BackgroundLayers, add_background, sample_background
 from ..kernels.field.outer import OuterGrid, compose_outer, dim_pixels, sample_outer
@@ -117,7 +117,7 @@ class LayeredBackground:
 
     @property
     def summary(self) -> str:
-        """What it is, in a few words."""
+        """A short description."""
         return f"{self.layer_count} background layers"
 
     def __repr__(self) -> str:
@@ -214,14 +214,8 @@ class OuterField:
     @classmethod
     def from_contents(cls, contents: OuterContents, device: wp.DeviceLike = None) -> OuterField:
         """The outer field of a file."""
-        return cls(
-            contents.center,
-            contents.half,
-            contents.links,
-            contents.values,
-            sky=contents.sky,
-            device=resolve_device(device),
-        )
+        values = contents.links, contents.values
+        return cls(contents.center, contents.half, *values, sky=contents.sky, device=device)
 
     @in_turn
     def contents(self) -> OuterContents:
@@ -230,7 +224,7 @@ class OuterField:
 
     @property
     def summary(self) -> str:
-        """What it is, in a few words."""
+        """A short description."""
         return f"{counted(self.voxel_count, 'voxel')} around it in {self.side}^3 of contracted space"
 
     def __repr__(self) -> str:

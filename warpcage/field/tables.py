@@ -1,4 +1,4 @@
-"""What marches read of a field: tables of rows, shades and matter cells, kept from frame to frame."""
+"""The tables that marches read of a field: rows, colours and matter cells, kept from frame to frame."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import warp as wp
 
 from ..core.arrays import empty_array
 from ..core.devices import RecordedLaunch, SpareMemory, half_texture, launch
-from ..core.locks import owner_lock
 from ..core.modules import Kernel
+from ..core.threads import owner_lock
 from ..kernels.core.texels import clear_half_texels
 from ..kernels.field import columns, occupancy
+from ..kernels.field.colors import ShadedGrid, shade_rows
 from ..kernels.field.densities import lay_densities
 from ..kernels.field.grid import VoxelGrid
 from ..kernels.field.march import image_kernel
 from ..kernels.field.march_cpu import render_tiles
 from ..kernels.field.rows import RowTable, pack_rows
-from ..kernels.field.shades import ShadedGrid, shade_rows
 from ..kernels.view.rays import TILE_SIZE
 from ..view.camera import camera_struct
 from ..view.frame import PART_NAMES, Frame
@@ -59,17 +59,16 @@ def gathered_cells(links: wp.array, density: wp.array, skip: wp.array) -> Any:
     return cells
 
 
-#: 32-bit words of a packed row (kernels/field/rows), and of a shade (kernels/field/shades) on CUDA and on a CPU.
-PACKED_WORDS = 8
-
-CUDA_SHADE_WORDS, CPU_SHADE_WORDS = 2, 4
+#: uint32 values of a packed row (kernels/field/rows), and of its colour (kernels/field/colors) on CUDA and on a CPU.
+PACKED_UINT32S = 8
+CUDA_COLOR_UINT32S, CPU_COLOR_UINT32S = 2, 4
 
 #: Rows that work together on CUDA.
 WARP_LANES = 32
 
 
 class ColumnTable:
-    """The rows of a grid told by bits, see kernels/field/columns; links (nx, ny, nz) int32, row of each node or -1."""
+    """The rows of a grid as bits, see kernels/field/columns; links (nx, ny, nz) int32, row of each node or -1."""
 
     def __init__(self, links: wp.array):
         device = links.device
@@ -107,17 +106,15 @@ class ColumnTable:
             self._laid.zero_()
         return self._laid
 
-    def row_shades(self) -> wp.array:
-        """(rows, words) uint32 for shades of rows, not set yet."""
-        # Of the frame before on a CUDA stream, whose frames follow each other: handing out memory takes longer than
+    def row_colors(self) -> wp.array:
+        """(rows, 4) uint32 on a CPU, else (rows, 2), for the colours of rows, not set yet."""
+        # Of the frame before on a CUDA stream, whose frames follow each other: allocating memory takes longer than
         # filling it. A new one for other streams, and on a CPU, whose threads may render at a time.
-        return self._of_stream("rows", self._new_row_shades)
-
-    def _new_row_shades(self) -> wp.array:
-        return empty_array((self.nodes.shape[0], shade_words(self._device)), wp.uint32, self._device)
+        shape = self.nodes.shape[0], CPU_COLOR_UINT32S if self._device.is_cpu else CUDA_COLOR_UINT32S
+        return self._of_stream("rows", lambda: empty_array(shape, wp.uint32, self._device))
 
     def shaded(self, center: wp.vec3, step: float) -> Any:
-        """A ShadedGrid of kernels/field/shades that is to be filled for a camera, centre relative to the grid's origin.
+        """A ShadedGrid of kernels/field/colors that is to be filled for a camera, centre relative to the grid's origin.
         On CUDA the same for all cameras, whose frames take turns."""
         shaded = self._shaded
         if shaded is None:
@@ -128,9 +125,9 @@ class ColumnTable:
         shaded.center, shaded.step = center, step
         return shaded
 
-    def shade_texture(self, layers: int) -> wp.Texture3D:
-        """A texture of four halves, (layers * nx, ny, nz), on CUDA for shades at the nodes of rows; 0 at others.
-        Kept as `row_shades` is."""
+    def color_texture(self, layers: int) -> wp.Texture3D:
+        """A texture of four halves, (layers * nx, ny, nz), on CUDA for colours at the nodes of rows; 0 at others.
+        Kept as `row_colors` is."""
         return self._of_stream(f"{layers} layers", lambda: self._new_texture(layers))
 
     def _new_texture(self, layers: int) -> wp.Texture3D:
@@ -152,16 +149,11 @@ class ColumnTable:
         return kept if owner == stream else make()
 
     def packed_rows(self) -> wp.array:
-        """(rows, PACKED_WORDS) uint32, made when it is first asked for."""
-        # Kept: CUDA hands out memory slower than it fills it. Frames on several streams write the same into it.
+        """(rows, PACKED_UINT32S) uint32, made when it is first asked for."""
+        # Kept: CUDA allocates memory slower than it fills it. Frames on several streams write the same into it.
         if self._packed is None:
-            self._packed = empty_array((self.nodes.shape[0], PACKED_WORDS), wp.uint32, self.nodes.device)
+            self._packed = empty_array((self.nodes.shape[0], PACKED_UINT32S), wp.uint32, self.nodes.device)
         return self._packed
-
-
-def shade_words(device: wp.Device) -> int:
-    """32-bit words of a shade (kernels/field/shades)."""
-    return CPU_SHADE_WORDS if device.is_cpu else CUDA_SHADE_WORDS
 
 
 def whole_warps(rows: int, device: wp.Device) -> int:
@@ -187,9 +179,9 @@ def shaded_grid(grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> 
     """The rows of a grid as a camera sees them: a ShadedGrid of the values that the grid has now.
     center: of the camera, relative to the grid's origin; step: world units."""
     shaded = table.shaded(center, step)
-    shades = table.row_shades()
-    if shaded.shades is not shades:
-        shaded.shades = shades
+    colors = table.row_colors()
+    if shaded.colors is not colors:
+        shaded.colors = colors
     table.shade_rows(whole_warps(table.nodes.shape[0], grid.links.device), [grid, table.nodes, shaded])
     return shaded
 
@@ -198,7 +190,7 @@ def shaded_grid(grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> 
 NEAR_VOXELS = 16.0
 
 #: Whether that is done on a CPU too, where rays are few, and bands of a picture would each shade all voxels.
-SHADES_ON_CPU = False
+SHADED_ON_CPU = False
 
 #: Whether a CPU marches the rays of a tile side by side, and not one by one as CUDA does.
 TILES_ON_CPU = True
@@ -223,7 +215,7 @@ class MarchTables:
 
     @property
     def columns(self) -> ColumnTable:
-        """The rows told by bits, made when they are first asked for."""
+        """The rows as bits, made at the first use."""
         with self._lock:
             if self._columns is None:
                 self._columns = ColumnTable(self._grid.links)
@@ -260,15 +252,11 @@ class MarchTables:
         pinhole, color = camera_struct(view.rays, view.field.center), wp.vec3(*map(float, view.color))
         arrays = new_picture(view)
         ends = [pinhole, color, view.step, STOP_TRANSMITTANCE, *(arrays[name] for name in PART_NAMES)]
-        how: dict[str, Any] = {"transient": len(ends), "work": rays * view.work}
-        self._launch_of(kernel)(view.threads // rays, [*inputs, *ends], **how)
-        return finish_frame(view, arrays)
-
-    def _launch_of(self, kernel: Kernel) -> RecordedLaunch:
-        """The launch of a kernel that renders views."""
         if kernel not in self._launches:
             self._launches[kernel] = RecordedLaunch(kernel, self._grid.links.device)
-        return self._launches[kernel]
+        run = self._launches[kernel]
+        run(view.threads // rays, [*inputs, *ends], transient=len(ends), work=rays * view.work)
+        return finish_frame(view, arrays)
 
     def _image_kernel(self, center: wp.vec3, step: float) -> tuple[Kernel, list[Any], int]:
         """A kernel that renders views of the grid, its first inputs, and the rays that one of its items follows.
@@ -296,7 +284,7 @@ class MarchTables:
     def is_shaded(self, center: wp.vec3, others: Sequence[Sequence[Sequence[float]]] = ()) -> bool:
         """Whether voxels are shaded for a camera: where none is near it, nor to others: boxes (2, 3) they are moved
         into. centre: of the camera, relative to the grid's origin, as boxes are."""
-        if self._grid.links.device.is_cpu and not SHADES_ON_CPU:
+        if self._grid.links.device.is_cpu and not SHADED_ON_CPU:
             return False
         near, place = NEAR_VOXELS * self._longest, (center[0], center[1], center[2])
         return all(box_distance(lower, upper, place) > near for lower, upper in (self._box, *others))

@@ -23,8 +23,8 @@ from ..core.checks import (
     warn_caller,
 )
 from ..core.devices import HeldOnDevice, launch, resolve_device
-from ..core.locks import device_turn, in_turn
 from ..core.reports import Progress, report_progress, reports_progress
+from ..core.threads import device_turn, in_turn
 from ..errors import InputError
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.camera import Camera, camera_struct, rigid_motion
@@ -32,7 +32,7 @@ from ..view.camera_path import RefinedCameras
 from ..view.frame import Frame, checked_supersampling, parse_background, view_background
 from .io import load_field, save_field
 from .io.field_file import BASIS_COUNT, FieldContents
-from .render import asked_view, finish_frame, new_picture
+from .render import RenderOptions, RenderTarget, field_view, finish_frame, new_picture
 from .sparse import checked_resolution, harmonics_on_device, harmonics_on_host, place_grid, values_on_device
 from .surface import DensityField, color_vertices, extract_mesh
 from .surroundings import LayeredBackground, OuterField
@@ -61,8 +61,8 @@ class VoxelField(HeldOnDevice):
             luminance, 4 of orange, 4 of green; or the `grid.sh` of another field.
         background: Colour behind everything, a name or (3,) in [0, 1].
         background_model: What lies around the box instead of that colour. None is that colour.
-        weights: (rows,) float32, the largest rendering weight that a training ray gave each voxel. None is not known.
-        up: (3,) what is up in the world, for views of it, of any length but zero.
+        weights: (rows,) float32, the largest rendering weight that a training ray gave each voxel. None: not known.
+        up: (3,) up direction of the world, of any length but zero.
         straightening: (4, 4) rigid, from the coordinates of the scene's files to those of the field, where the scene
             was straightened (`load_scene(orient="up")`). None is the same coordinates.
         supersampling: Rays along each side of a pixel in renders: 2 for fields that were fitted with four rays per
@@ -87,9 +87,9 @@ class VoxelField(HeldOnDevice):
         refined_cameras: RefinedCameras of the fit's pictures, where it refined them; None otherwise. Files of fields
             hold them, but for those of svox2.
         grid: The VoxelGrid that kernels take; positions in it are relative to `center`. Its arrays may be written to at
-            any time, but for the links. Its `skip` (nx-1, ny-1, nz-1) says of each cell how many cells it is to the
-            nearest whose nodes have rows, 0 there: rays step over so many.
-        marching: What marches read instead of it.
+            any time, except the links. `skip` (nx-1, ny-1, nz-1) is the distance, in cells, of each cell from the
+            nearest one whose nodes have rows: rays skip that many.
+        marching: Tables of `grid` that ray marching reads.
     """
 
     _elsewhere = "save it, and load the file in each of them"
@@ -260,15 +260,15 @@ class VoxelField(HeldOnDevice):
 
         Raises:
             ValueError: For a background that is not known, a step that is not positive and finite or is too short,
-                a camera so far away that float32 cannot tell steps there, or supersampling out of range.
+                a camera so far away that float32 has no steps there, or supersampling out of range.
         """
-        return self.marching.render(asked_view(self, camera, background, step, supersampling))
+        return self.marching.render(field_view(self, camera, RenderOptions(background, supersampling, step=step)))
 
     def march_step(self, step: float | None, camera: Camera) -> tuple[float, float]:
         """The step of a march from a camera.
 
         Args:
-            step: What the caller asked for, world units. None is `.step`.
+            step: The wanted step, world units. None is `.step`.
             camera: The camera.
 
         Returns:
@@ -310,7 +310,7 @@ class VoxelField(HeldOnDevice):
             ValueError: For a background that is not known, or supersampling out of range.
         """
         warn_caller("VoxelField.render_by is gone in the next version: Deformer renders what is deformed")
-        view = asked_view(self, camera, background, None, supersampling, masks=masks, into=into)
+        view = field_view(self, camera, RenderOptions(background, supersampling), masks, RenderTarget(into))
         arrays: dict[str, wp.array] = {}
 
         def made_arrays() -> dict[str, wp.array]:
@@ -324,13 +324,13 @@ class VoxelField(HeldOnDevice):
     def chosen_background(
         self, background: str | ArrayLike | None = None
     ) -> tuple[np.ndarray, LayeredBackground | OuterField | None]:
-        """What goes behind a view.
+        """The background of a view.
 
         Args:
             background: Colour name or (3,). None is the field's own background.
 
         Returns:
-            (3,) float32 colour to render the view on, and what is put around it then, or None.
+            (3,) float32 colour to render on, and the background model to add to the view, or None.
 
         Raises:
             ValueError: For a background that is not known.
@@ -413,10 +413,11 @@ class VoxelField(HeldOnDevice):
 
         Args:
             path: The file.
-            scene_scale: The factor that the positions of its scene were multiplied by, which bounds are divided by:
-                2/3 for svox2's NeRF-synthetic scenes, so that they fit the cameras of `load_scene`.
+            scene_scale: Factor by which positions of the scene were multiplied before the fit, undone here: 2/3 for
+                svox2's NeRF-synthetic scenes, so that they fit the cameras of `load_scene`.
             device: Warp device. None is CUDA where there is one.
-            progress: True shows a bar on stderr. A function is told (done, total, words) and ends the work by False.
+            progress: True shows a bar on stderr. A function is called with (done, total, message) and cancels
+                by returning False.
 
         Returns:
             The field.
@@ -426,14 +427,14 @@ class VoxelField(HeldOnDevice):
             ValueError: For a file of neither format, or whose parts do not fit.
             Cancelled: Where `progress` returned False.
         """
-        report_progress(0, 2, "field: its file")
+        report_progress(progress, 0, 2, "field: its file")
         held = load_field(path, scene_scale=scene_scale)
-        report_progress(1, 2, "field: its tables")
+        report_progress(progress, 1, 2, "field: its tables")
         try:
             field = cls.from_contents(held, device=device)
         except ValueError as error:
             raise InputError(f"{path}: {error}") from error
-        report_progress(2, 2, "field: its tables")
+        report_progress(progress, 2, 2, "field: its tables")
         return field
 
     @classmethod
@@ -498,10 +499,7 @@ class VoxelField(HeldOnDevice):
         return moved
 
     def view_options(self) -> dict[str, Any]:
-        """What views of the field depend on besides its voxels, by the constructor's names.
-
-        A field that is made from this one takes it over.
-        """
+        """The constructor's arguments that views depend on besides the voxels, for fields made from this one."""
         return {
             "background": self.background,
             "background_model": self.background_model,

@@ -13,10 +13,9 @@ import numpy as np
 import warp as wp
 
 from ..core.devices import launch, launch_off_tape, module_block_dim
-from ..core.files import require_numbers
-from ..core.locks import device_turn
 from ..core.modules import Kernel, require_loaded
-from ..core.threads import cpu_threads, run_parallel
+from ..core.npz import require_numbers
+from ..core.threads import cpu_threads, device_turn, run_parallel
 from ..errors import InputError
 from ..field.sparse import gathered
 from ..field.voxel_field import VoxelField

@@ -13,8 +13,8 @@ import warp as wp
 from ..core.arrays import empty_array
 from ..core.checks import require_type
 from ..core.devices import lane_count, launch
-from ..core.files import require_numbers
-from ..core.locks import device_turn
+from ..core.npz import require_numbers
+from ..core.threads import device_turn
 from ..errors import InputError
 from ..field.render import STOP_TRANSMITTANCE
 from ..field.surroundings import OuterField
@@ -37,10 +37,10 @@ NUMBERS, SUMS = int(kernels.CAMERA_NUMBERS), int(kernels.CAMERA_SUMS)
 _NORMAL, _EXPOSURE = int(kernels.NORMAL_SUMS), int(kernels.EXPOSURE_SUMS)
 
 #: What Gauss-Newton's diagonal is raised by, as a share of itself and of the camera's largest: steps are short along
-#: what the pictures tell badly, as a turn and a shift across it that show the object the same way.
+#: what the pictures determine badly, as a turn and a shift across it that show the object the same way.
 DAMPING, MIN_DAMPING = 0.05, 1e-5
 
-#: How firmly the given cameras hold theirs at least, relative to what the pictures tell best: turns, shifts and focal
+#: How firmly the given cameras hold theirs at least, relative to what pictures determine best: turns, shifts and focal
 #: length.
 HOLD = np.array([1e-3, 1e-3, 1e-3, 4e-3, 4e-3, 4e-3, 1e-3])
 
@@ -50,7 +50,7 @@ EXPOSURE_PRIOR, OFFSET_PRIOR = 0.005, 0.3
 #: Gains of an exposure beyond these are not believed.
 GAINS = (0.2, 5.0)
 
-#: Keeps quotients finite where no ray tells anything.
+#: Keeps quotients finite where no ray counts.
 TINY = 1e-30
 
 
@@ -187,7 +187,7 @@ class CameraRefinement:
     """The cameras of a fit and the exposures of its pictures, as they are refined."""
 
     # Damped Gauss-Newton for each pose's six numbers, and for a lens's focal length with all its cameras. Held, as
-    # pictures cannot tell: where all cameras together see the middle of the box, and mean gains of 1 and offsets of 0.
+    # pictures cannot determine: where all cameras together see the middle of the box, mean gains of 1, offsets of 0.
 
     def __init__(self, cameras: Sequence[Camera], bounds: np.ndarray, device: wp.Device, *, held: bool = True):
         self.given, self.device, self.held = list(cameras), device, held  # held: all as a whole, and each a little
@@ -319,15 +319,15 @@ class CameraRefinement:
             sums = measure(part, (view_tiles + 1 - half) // 2)
             moves.append(self._moves(camera_steps(sums.normal, sums.slope, self.lenses)))
         first, second = moves
-        told = np.array([spread_of(each) for each in moves]).min(axis=0) > 0.0
-        if not told.any():
+        known = np.array([spread_of(each) for each in moves]).min(axis=0) > 0.0
+        if not known.any():
             return CameraErrors(0.0, 0.0)
         focal = np.array([camera.fx for camera in self.given])
         pixels = focal * spread_of(0.5 * (first + second))
         cosines = np.nansum(first * second, axis=(1, 2)) / np.sqrt(
             np.maximum(np.nansum(first**2, axis=(1, 2)) * np.nansum(second**2, axis=(1, 2)), TINY)
         )
-        return CameraErrors(float(np.median(pixels[told])), float(np.median(cosines[told])))
+        return CameraErrors(float(np.median(pixels[known])), float(np.median(cosines[known])))
 
     def _moves(self, steps: np.ndarray) -> np.ndarray:
         """(n, points, 2) where steps (n, 7) move what the cameras see, in focal lengths."""

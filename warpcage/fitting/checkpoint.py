@@ -19,7 +19,8 @@ import warp as wp
 
 from ..core.arrays import array_view
 from ..core.checks import checked_path
-from ..core.files import atomic_path, read_npz, require_numbers
+from ..core.files import atomic_path
+from ..core.npz import read_npz, require_numbers
 from ..core.threads import run_parallel
 from ..errors import InputError
 from ..scene.scene import Scene
@@ -71,7 +72,7 @@ class Fit(Protocol):
 
 
 #: What `fingerprint` found. Fits are compared by identity.
-_fingerprints: weakref.WeakKeyDictionary[Fit, str] = weakref.WeakKeyDictionary()
+_fingerprints: weakref.WeakKeyDictionary[Any, str] = weakref.WeakKeyDictionary()
 
 
 def require_writable(path: str | os.PathLike[str]) -> pathlib.Path:
@@ -131,7 +132,7 @@ def load_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
             f"{path} is the checkpoint of a fit with background layers, which background='auto' took for whole "
             "pictures before it took an outer field: fit with the warpcage that wrote it, remove it or name another one"
         )
-    with told_of_damage(path):
+    with damage_as_error(path):
         _restore(optimizer, contents, pathlib.Path(path))
 
 
@@ -156,8 +157,8 @@ def read_checkpoint(
 
 
 @contextlib.contextmanager
-def told_of_damage(path: str | pathlib.Path) -> Iterator[None]:
-    """What goes wrong while a checkpoint is taken over, as one ValueError."""
+def damage_as_error(path: str | pathlib.Path) -> Iterator[None]:
+    """Turn errors while a checkpoint is restored into one InputError."""
     try:
         yield
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
@@ -227,11 +228,11 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
     batches.order(order, cursor)
 
 
-def fingerprint(optimizer: Fit) -> str:
-    """Hash, in hexadecimal digits, of all that a fit depends on: seed, options and scene."""
+def fingerprint(optimizer: Any) -> str:  # FieldOptimizer or SplatFit
+    """Hash, in hexadecimal digits, of all that a fit depends on: its `given` (seed, options, start) and its scene."""
     if optimizer not in _fingerprints:  # once, as a fit reads pictures only when it begins
-        words = json.dumps(optimizer.given, sort_keys=True).encode()
-        _fingerprints[optimizer] = hashlib.blake2b(words + scene_digest(optimizer.scene), digest_size=32).hexdigest()
+        given = json.dumps(optimizer.given, sort_keys=True).encode()
+        _fingerprints[optimizer] = hashlib.blake2b(given + scene_digest(optimizer.scene), digest_size=32).hexdigest()
     return _fingerprints[optimizer]
 
 
@@ -252,17 +253,13 @@ def scene_digest(scene: Scene) -> bytes:
     }
     there = {name: array for name, array in arrays.items() if array is not None}
     heads = [f"{name} {array.dtype} {array.shape}" for name, array in there.items()]
-    pieces = [piece for array in there.values() for piece in _pieces(array)]
+    # pictures one by one, and small arrays whole
+    pieces = [piece for array in there.values() for piece in (array if array.ndim > 2 else [array])]
     hashes = run_parallel([functools.partial(_piece_hash, piece) for piece in pieces])
     whole = hashlib.blake2b(json.dumps([heads, bool(scene.captured)]).encode(), digest_size=32)
     for each in hashes:
         whole.update(each)
     return whole.digest()
-
-
-def _pieces(array: np.ndarray) -> list[np.ndarray]:
-    """An array in pieces along its first axis: pictures one by one, and small arrays whole."""
-    return list(array) if array.ndim > 2 else [array]
 
 
 def _piece_hash(piece: np.ndarray) -> bytes:

@@ -1,4 +1,4 @@
-"""How well renders match held-out views, and how files keep that."""
+"""How well renders match held-out views, and reports of that."""
 
 from __future__ import annotations
 
@@ -150,10 +150,11 @@ def evaluate(
         renderer: A VoxelField, a SplatField, a Deformer, or anything with .render(camera, background=...) -> Frame.
         scene: The views. Those of a field that was straightened may be in the world of their files.
         similarity: Whether the structural similarity is measured too.
-        moved_along: Whether each view's camera goes along with the cameras near it that the field's fit refined (see
-            `RefinedCameras.moved_along`); its picture is not looked at. Fields of refined cameras lie where those see
-            them, and cameras as they were given do not go with them.
-        progress: True shows a bar on stderr. A function is told (done, total, words) and ends the work by False.
+        moved_along: Whether each view's camera is moved as the fit moved the refined cameras near it (see
+            `RefinedCameras.moved_along`), without a look at its picture. A field of refined cameras does not match the
+            cameras as given.
+        progress: True shows a bar on stderr. A function is called with (done, total, message) and cancels
+            by returning False.
 
     Returns:
         For each view {"view": name, "psnr": dB}; with "ssim" if asked for; with "masked_psnr", over the pixels of the
@@ -165,9 +166,9 @@ def evaluate(
         Cancelled: Where `progress` returned False.
 
     Warns:
-        UserWarning: Where a field shows nothing of what the pictures do, as one in the frame of another program.
+        UserWarning: Where views of a field are unlike the pictures, as of one in another program's coordinates.
     """
-    rows = view_figures(renderer, scene, similarity=similarity, moved_along=moved_along)
+    rows = view_figures(renderer, scene, similarity=similarity, moved_along=moved_along, progress=progress)
     warn_of_mismatch(renderer, scene)
     return rows
 
@@ -201,9 +202,10 @@ def view_figures(
     rows = []
     background, images = comparison(renderer, scene)
     for index in range(len(scene)):
-        report_progress(index, len(scene), "evaluate")
-        parts = (None if each is None else scene.cut(index, each[index]) for each in (scene.alphas, scene.weights))
-        alpha, weights = parts
+        report_progress(progress, index, len(scene), "evaluate")
+        alpha, weights = (
+            None if each is None else scene.cut(index, each[index]) for each in (scene.alphas, scene.weights)
+        )
         if weights is not None and not weights.any():
             continue
         image, camera = scene.cut(index, images[index]), scene.cameras[index]
@@ -215,7 +217,7 @@ def view_figures(
         if shown is not None and (shown > OPAQUE).any():
             row["masked_psnr"] = masked_psnr(rgb, image, shown, weights=weights)
         rows.append(row)
-    report_progress(len(scene), len(scene), "evaluate")
+    report_progress(progress, len(scene), len(scene), "evaluate")
     if not rows:
         raise InputError("no pixel of these views counts: all weights are 0, there is nothing to compare")
     return rows
@@ -322,7 +324,7 @@ def evaluation_report(
     field: Renderer, scene: Scene, *, given: Scene | None = None, progress: bool | Progress = False
 ) -> Report:
     """Compare a field with the pictures of a scene; the structural similarity too where they are large enough.
-    given: the scene before its cameras moved along with refined ones, of which the mean is told too."""
+    given: the scene before its cameras moved along with refined ones, of which the mean is printed too."""
     sides = [min(camera.width, camera.height) for camera in scene.cameras]
     rows = view_figures(field, scene, similarity=min(sides) >= SSIM_WINDOW, progress=progress)
     return Report(rows, None if given is None else mean_psnr(view_figures(field, given)))

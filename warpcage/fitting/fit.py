@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import logging
 import os
 import pathlib
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -21,8 +20,9 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_path, require_type, warn_caller
 from ..core.devices import resolve_device
-from ..core.locks import device_turn
-from ..core.reports import Progress, is_progress_requested, progress_scope, report_progress, reports_progress, span_text
+from ..core.names import checked_choice
+from ..core.reports import Progress, report_progress, reports_progress, shows_bars, span_text
+from ..core.threads import device_turn
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..scene.box_picture import box_text, draw_box
@@ -93,19 +93,19 @@ def fit(
             to 9 times as long, with up to twice the memory, for about 1 dB where cameras are exact and views many,
             and for little elsewhere.
         device: Warp device. None is CUDA where there is one.
-        seed: Of the pixel order and the backgrounds; see FieldOptimizer.
-        progress: True shows a bar with the PSNR of the last batch on stderr, and at the end that of the field over some
-            of the pictures, as `evaluate` has it. A function is told (done, total, words), in steps, and ends the fit
-            by returning False or by raising; a checkpoint stays then as it was last written.
+        seed: Seed of the pixel order and the backgrounds; see FieldOptimizer.
+        progress: True shows a bar on stderr with the PSNR of the last batch, and at the end that of the field over some
+            of the pictures, as `evaluate` measures it. A function is called with (done, total, message), in steps, and
+            cancels by returning False or raising; a checkpoint stays then as it was last written.
         bounds: (2, 3) box of the object, world units, for voxels. None finds it: the visual hull where the images have
             alpha.
         checkpoint: File (.npz) that holds the progress, always whole. The fit goes on from a file that is there, and
             removes it when it is done. None keeps no progress.
         checkpoint_seconds: Time between two writes of the checkpoint.
-        preview: Picture (.png) that is written anew while the fit goes on: at once, of voxels, cameras, points and
-            the object's box from three sides (`warpcage.scene.draw_box`), then a picture of the scene beside the
-            field's view of its camera. None writes none.
-        preview_seconds: Time between two writes of the preview, of which the first view comes after as long.
+        preview: Picture (.png) that is updated during the fit: at first, for voxels, cameras, points and the object's
+            box from three sides (`warpcage.scene.draw_box`), then a picture of the scene beside the field's view
+            from its camera. None writes none.
+        preview_seconds: Time before the first view of the field, and between two writes.
         options: Fields of FitOptions by name, e.g. resolution=256, epochs=12 or max_memory="4GB"; for splats those of
             SplatFitOptions, e.g. steps=7000 or most_splats=200000, and the `weights` of SplatFit.
 
@@ -118,20 +118,19 @@ def fit(
         Cancelled: Where `progress` returned False.
 
     Warns:
-        UserWarning: For cameras that what matches in some of the pictures disagrees with, or that look at places of
-            which hardly a picture shows two.
+        UserWarning: Where matches between some of the pictures contradict the cameras, or where hardly two pictures
+            show the same place.
     """
     held = None if checkpoint is None else require_writable(checkpoint)
     picture = None if preview is None else _preview_path(preview)
-    if representation not in REPRESENTATIONS:
-        raise InputError(f"representation must be one of {', '.join(REPRESENTATIONS)}, got {representation!r}")
+    checked_choice(representation, "representation", REPRESENTATIONS)
     require_type(scene, Scene, "a fit needs")
     goes_on = held is not None and held.exists()
     turn = device_turn(resolve_device(device))
     kept: Any = voxel_checkpoint if representation == "voxels" else splat_checkpoint
     optimizer: FieldOptimizer | SplatFit
     with turn:
-        options = {"device": device, "seed": seed, "quality": quality, **options}
+        options = {"device": device, "seed": seed, "quality": quality, "progress": progress, **options}
         if representation == "voxels":
             optimizer = FieldOptimizer(scene, bounds=bounds, **options)
         elif bounds is not None:
@@ -145,11 +144,11 @@ def fit(
         if picture is not None:
             write_png(picture, draw_box(scene.cameras, scene.points, optimizer.found))
     start = shown = saved = pictured = time.monotonic()
-    words, looked = "fit", isinstance(optimizer, SplatFit) or optimizer.camera_errors is not None
+    message, looked = "fit", isinstance(optimizer, SplatFit) or optimizer.camera_errors is not None
     pace = optimizer.pace() if isinstance(optimizer, FieldOptimizer) else None
-    with contextlib.nullcontext() if goes_on else _beside(functools.partial(camera_doubt, scene)) as looking:
+    with contextlib.nullcontext() if goes_on else _camera_doubt_beside(scene) as looking:
         while optimizer.step_count < optimizer.total_steps:
-            report_progress(optimizer.step_count, optimizer.total_steps, words)
+            report_progress(progress, optimizer.step_count, optimizer.total_steps, message)
             if looking is not None and looking.done():
                 _warn_of(looking)
                 looking = None
@@ -160,11 +159,11 @@ def fit(
             if not looked and isinstance(optimizer, FieldOptimizer) and optimizer.camera_errors is not None:
                 looked = True
                 _say(str(optimizer.camera_errors), progress)
-            if is_progress_requested() and time.monotonic() - shown > SHOWN_EVERY:
+            if progress and time.monotonic() - shown > SHOWN_EVERY:
                 shown = time.monotonic()
-                words = f"fit: {optimizer.measure_psnr():.2f} dB, {optimizer.size_text}"
+                message = f"fit: {optimizer.measure_psnr():.2f} dB, {optimizer.size_text}"
                 if pace is not None and pace.is_known:
-                    words += f", about {span_text(pace.left())} left"
+                    message += f", about {span_text(pace.left())} left"
             if held is not None and time.monotonic() - saved > checkpoint_seconds:
                 with turn:
                     kept.save_progress(optimizer, held)
@@ -173,17 +172,18 @@ def fit(
                 with turn:
                     _write_preview(picture, optimizer.field, scene)
                 pictured = time.monotonic()
-        report_progress(optimizer.step_count, optimizer.total_steps, words)
+        report_progress(progress, optimizer.step_count, optimizer.total_steps, message)
         optimizer.measure_psnr()
         if optimizer.coarser:
             _say(optimizer.coarser, progress)
         if looking is not None:
             _warn_of(looking)
     field = optimizer.finish()
-    if is_progress_requested():
+    if progress:
         cameras = optimizer.cameras if isinstance(optimizer, FieldOptimizer) else scene.cameras
         decibels = _last_psnr(field, dataclasses.replace(scene, cameras=cameras))
-        report_progress(optimizer.step_count, optimizer.total_steps, f"fit: {decibels:.2f} dB, {optimizer.size_text}")
+        message = f"fit: {decibels:.2f} dB, {optimizer.size_text}"
+        report_progress(progress, optimizer.step_count, optimizer.total_steps, message)
     if held is not None:
         held.unlink(missing_ok=True)
     if picture is not None:
@@ -192,18 +192,14 @@ def fit(
 
 
 @contextlib.contextmanager
-def _beside(look: Callable[[], str | None]) -> Iterator[Future[str | None]]:
+def _camera_doubt_beside(scene: Scene) -> Iterator[Future[str | None]]:
     """What a look at the pictures finds, in a thread of its own: it takes seconds, in which a GPU fits half a scene.
     It ends with the block, however that ends."""
     ended = threading.Event()
 
-    def heed() -> str | None:
-        with progress_scope(lambda *_: not ended.is_set()):
-            return look()
-
     with ThreadPoolExecutor(1, "warpcage-cameras") as pool:
         try:
-            yield pool.submit(heed)
+            yield pool.submit(camera_doubt, scene, progress=lambda *_: not ended.is_set())
         finally:
             ended.set()
 
@@ -222,26 +218,26 @@ def _last_psnr(field: VoxelField | SplatField, scene: Scene) -> float:
     size = np.mean([scene.cameras[view].width * scene.cameras[view].height for view in counting])
     places = np.linspace(0, len(counting) - 1, int(np.clip(LAST_PIXELS // size, 1, len(counting))))
     views = scene.subset(counting[places.round().astype(int)].tolist())
-    return mean_psnr(view_figures(field, views, progress=lambda *_: None))  # part of the fit, without a bar of its own
+    return mean_psnr(view_figures(field, views))
 
 
 def _forecast(optimizer: FieldOptimizer, pace: Pace, taken: float) -> str:
-    """What a fit will take, in words; taken: seconds so far."""
+    """Time and memory that a fit will take, as text; taken: seconds so far."""
     seconds = pace.left() + taken
-    words = f"about {span_text(seconds)} and {memory_text(optimizer.peak_bytes(pace.rows))}"
+    text = f"about {span_text(seconds)} and {memory_text(optimizer.peak_bytes(pace.rows))}"
     rays, pixels = optimizer.total_steps * optimizer.batch_rays, counted_pixels(optimizer.scene)
     if (found := pace.quicker(seconds, rays, pixels, checked_options({"quality": "fast"}))) is None:
-        return words
+        return text
     factor, shorter = found
     shrunk = f" of pictures shrunk {factor} times" if factor > 1 else ""
-    return f"{words}; a fast fit{shrunk} takes about {span_text(shorter)}"
+    return f"{text}; a fast fit{shrunk} takes about {span_text(shorter)}"
 
 
-def _say(words: str, progress: bool | Progress) -> None:
-    """Tell of a fit: on stderr where a bar is there, too."""
-    _log.info("fit: %s", words)
-    if progress is True:
-        print(f"fit: {words}", file=sys.stderr)
+def _say(text: str, progress: bool | Progress) -> None:
+    """Log a line about a fit, and print it on stderr where a bar is shown."""
+    _log.info("fit: %s", text)
+    if shows_bars(progress):
+        print(f"fit: {text}", file=sys.stderr)
 
 
 def _preview_path(preview: str | os.PathLike[str]) -> pathlib.Path:

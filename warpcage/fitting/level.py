@@ -208,7 +208,6 @@ class Level:
         inputs = [links, self.nodes, *_quads(moments)]
         items = ROW_PARTS * self.field.voxel_count
         launch(rmsprop.gather_moments, items, inputs, _quads(self.moments), device=mask.device)
-        del links, moments, inputs
 
     def finish(self, picture_rays: PictureRays, threshold: float) -> VoxelField:
         """The field of the voxels that matter to pictures, with its rendering weights.

@@ -17,7 +17,7 @@ from ..errors import InputError
 #: Share of the free memory that a fit takes by default.
 FREE_SHARE = 0.9
 
-#: Factors by which a level may be refined are this far apart; a smaller one than the smallest is not worth its time.
+#: Steps between the factors by which a level may be refined; a smaller factor than the smallest is not worth its time.
 FACTOR_STEP, SMALLEST_FACTOR = 1.0 / 16.0, 1.125
 
 #: Voxels along the longest side below which a first level is of no use.

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_bounds, require_type
+from ..core.checks import checked_bounds, checked_whole, require_type
 from ..core.devices import HeldOnDevice, resolve_device
-from ..core.locks import in_turn
 from ..core.modules import load_modules
+from ..core.reports import Progress, reports_progress
+from ..core.threads import in_turn
 from ..errors import InputError
 from ..field.sparse import mask_count
 from ..field.voxel_field import VoxelField
@@ -28,7 +28,7 @@ from .batches import PRECISIONS, Batch, Batches, TrainingPictures, counted_pixel
 from .cameras import CAMERA_RAYS, HALF_LOOKS, CameraErrors, CameraRefinement, CameraSums, ray_bytes
 from .level import Level, Look, level_memory
 from .memory import FitMemory, children_count, finer_shapes, finest, memory_limit, memory_text
-from .options import VIEW_OPTIONS, checked_options, checked_seed
+from .options import VIEW_OPTIONS, checked_options
 from .schedule import Pace, Schedule, least_weight, outer_side, plan_batches, plan_grid
 from .silhouettes import Silhouettes, possible_voxels
 from .surroundings import (
@@ -53,9 +53,10 @@ class FieldOptimizer(HeldOnDevice):
     Args:
         scene: The images with their cameras.
         device: Warp device. None is CUDA where there is one.
-        seed: Of the pixel order and the backgrounds. On the CPU the same seed, scene and number of cores give the same
-            field to the bit.
+        seed: Seed of the pixel order and the backgrounds. On the CPU the same seed, scene and number of cores give the
+            same field to the bit.
         bounds: (2, 3) box of the object, world units. None finds it.
+        progress: A function is called with (done, total, message) before kernels are compiled; see `fit`.
         options: `quality`, and fields of FitOptions by name, which have priority over it.
 
     Raises:
@@ -71,9 +72,10 @@ class FieldOptimizer(HeldOnDevice):
         planned: (nx, ny, nz) voxels of each level if memory were not short.
         memory_limit: Bytes that the fit may take, beside the layers or the outer field.
         psnr: Of the last measured batch, in dB.
-        camera_errors: How far off cameras were, once a fit of `refine_cameras="auto"` has looked; None otherwise.
+        camera_errors: Camera errors that a fit with `refine_cameras="auto"` has measured; None before and otherwise.
     """
 
+    @reports_progress
     def __init__(
         self,
         scene: Scene,
@@ -81,6 +83,7 @@ class FieldOptimizer(HeldOnDevice):
         device: wp.DeviceLike = None,
         seed: int = 0,
         bounds: ArrayLike | None = None,
+        progress: bool | Progress = False,
         **options: Any,
     ):
         require_type(scene, Scene, "a fit needs")
@@ -88,7 +91,7 @@ class FieldOptimizer(HeldOnDevice):
         self.options = checked_options(options)
         pixels = counted_pixels(scene)
         self.device = resolve_device(device)
-        self.seed = checked_seed(seed)
+        self.seed = checked_whole(seed, "the seed", 0)
         self.given = {
             "seed": self.seed,
             "bounds": None if bounds is None else np.asarray(bounds, np.float64).tolist(),
@@ -100,7 +103,7 @@ class FieldOptimizer(HeldOnDevice):
         self.random_background, around = chosen_background(scene, self.options.background)
         self.memory_limit = memory_limit(self.options.max_memory, self.device)
         gradients = loss if self.device.is_cpu else loss_warps
-        load_modules([visual_hull, refine, occupancy, batches, gradients, rmsprop], self.device)
+        load_modules([visual_hull, refine, occupancy, batches, gradients, rmsprop], self.device, progress)
 
         silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
@@ -196,9 +199,13 @@ class FieldOptimizer(HeldOnDevice):
             rows = mask_count(mask)
             fixed, counted = self.batches.held_bytes, self.options.variation_views > 0
             memory = level_memory(SMALLEST_GRID, self.shards, fixed, self.batches.mark_bytes, counted=counted)
-            shapes = self._finest(
-                memory, lambda held, rows=rows: held.first_shapes(self.shapes, rows, self.memory_limit)
+            shapes, coarse_pictures = finest(
+                memory,
+                self.pictures.spare_bytes,
+                lambda held, rows=rows: held.first_shapes(self.shapes, rows, self.memory_limit),
             )
+            if coarse_pictures:
+                self.batches.keep_pictures(PRECISIONS[-1])
             if shapes is None:
                 raise memory.without(self.pictures.spare_bytes).refusal(rows, shape, self.memory_limit)
             if shapes == self.shapes:
@@ -322,13 +329,6 @@ class FieldOptimizer(HeldOnDevice):
 
     # Levels
 
-    def _finest(self, memory: FitMemory, choice: Callable[[FitMemory], Any]) -> Any:
-        """The shape, or shapes, that `choice` makes of the memory. Pictures change to the lowest precision for it."""
-        shape, coarse_pictures = finest(memory, self.pictures.spare_bytes, choice)
-        if coarse_pictures:
-            self.batches.keep_pictures(PRECISIONS[-1])
-        return shape
-
     def _activate_tiles(self) -> None:
         """Batches of the tiles that see the field; of all of them where what is around it is fitted too: every
         pixel shows something."""
@@ -357,7 +357,7 @@ class FieldOptimizer(HeldOnDevice):
         rows, kept_rows, share = self.field.voxel_count, mask_count(kept), 0.0  # of children that the last look left
 
         def fits(memory: FitMemory, shape: tuple[int, ...], count: int | None = None) -> bool:
-            """Whether a look does, and a level of so many voxels after it; None is as many as the last look tells."""
+            """Whether a look does, and a level of so many voxels after it; None is as many as the last look found."""
             children = children_count(kept_rows, coarse, shape)
             left = math.ceil(share * children) if count is None else count
             needed = max(
@@ -442,7 +442,7 @@ class FieldOptimizer(HeldOnDevice):
         self.schedule.step_count += 1
 
     def accumulate_gradients(self) -> None:
-        """Add the gradients of the batch at hand to those of the field and its surroundings, and note its errors."""
+        """Add the gradients of the current batch to those of the field and its surroundings, and note its errors."""
         behind = grad_behind = front = grad_front = None
         if self.background is not None:
             self.background.prepare(self.rays, self.pictures.surroundings)

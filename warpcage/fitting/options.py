@@ -8,11 +8,11 @@ import os
 import textwrap
 from typing import Any, Literal, TypedDict, TypeVar
 
-import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.names import QUALITIES, Quality
+from ..core.checks import checked_number, checked_whole
+from ..core.names import QUALITIES, Quality, checked_choice
 from ..core.reports import Progress
 from ..errors import InputError
 from ..field.io.field_file import MAX_LAYER_SIDE, MAX_LAYERS, MAX_OUTER_SIDE
@@ -35,11 +35,6 @@ class Range:
 
     def __str__(self) -> str:
         return f"{'a whole number' if self.whole else 'a number'} from {self.low:g} to {self.high:g}"
-
-    def holds(self, value: object) -> bool:
-        """Whether a value is a number of this kind within the range."""
-        kinds = (int, np.integer) if self.whole else (int, float, np.integer, np.floating)
-        return isinstance(value, kinds) and not isinstance(value, bool) and bool(self.low <= value <= self.high)
 
 
 def option(default: object, text: str, values: Range | None = None) -> Any:
@@ -295,13 +290,6 @@ _HIGH = {
 _SET_BY_QUALITY: dict[str, dict[str, Any]] = dict(zip(QUALITIES, (_FAST, {}, _HIGH), strict=True))
 
 
-def checked_seed(seed: object) -> int:
-    """A seed as an int. Raises ValueError unless it is a whole number of at least 0."""
-    if not (isinstance(seed, (int, np.integer)) and seed >= 0):
-        raise InputError(f"the seed must be a whole number of at least 0, got {seed!r}")
-    return int(seed)
-
-
 def checked_options(options: dict) -> FitOptions:
     """The options of a caller, `quality` and fields of FitOptions by name, checked; `max_memory` in bytes."""
     if "epochs" in options:
@@ -320,8 +308,7 @@ def checked_fields(kind: type[Options], by_quality: dict[str, dict[str, Any]], o
     if unknown:
         raise InputError(f"fit has no option {unknown[0]!r}; it has {', '.join(sorted(names))}")
     quality = options.pop("quality", "standard")
-    if quality not in QUALITIES:
-        raise InputError(f"quality {quality!r} is not known: {', '.join(QUALITIES)}")
+    checked_choice(quality, "quality", QUALITIES)
     if options.get("max_memory") is not None:
         options["max_memory"] = memory_size(options["max_memory"])
     checked = kind(**{**by_quality[quality], **options})
@@ -329,8 +316,8 @@ def checked_fields(kind: type[Options], by_quality: dict[str, dict[str, Any]], o
         value, values = getattr(checked, field.name), field.metadata["range"]
         if values is None or (value is None and field.default is None):
             continue
-        if not values.holds(value):
-            raise InputError(f"{field.name} must be {values}, got {value!r}")
+        check: Any = checked_whole if values.whole else checked_number
+        check(value, field.name, values.low, values.high)
     return checked
 
 

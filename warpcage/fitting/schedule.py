@@ -35,7 +35,7 @@ SMALLEST_RESOLUTION = 32
 #: Share of `keep_weight` that a voxel of a new level needs: memory is largest until `keep_at`.
 MIN_SHARE = 0.6
 
-#: Without silhouettes, fine voxels turn to fog before the cameras unless a coarse fit has told them where matter is.
+#: Without silhouettes, fine voxels turn to fog before the cameras unless a coarse fit has found where matter is.
 COARSE_SIDE = 24
 
 #: Rays per voxel from which on the regularisers of FitOptions hold as they are: 87 views of 800x800 at 512 voxels along
@@ -52,7 +52,7 @@ MAX_HASTE = 2.0
 #: How the weights of the total variations follow the scarcity; measured (benchmarks/NOTES-fit-scenes.md).
 DENSITY_POWER, SH_POWER = 1.8, 1.0
 
-#: Regularisers grow by this factor at most: no smoothing finds what no view tells.
+#: Regularisers grow by this factor at most: no smoothing finds what no view shows.
 MAX_SCARCE = 32.0
 
 #: Directional coefficients step more slowly than the constant ones, so that they come about as far in a long fit as in

@@ -11,8 +11,8 @@ import warp as wp
 
 from ..core.arrays import array_view, empty_array
 from ..core.devices import lane_count, launch
-from ..core.files import require_numbers
-from ..core.names import FIT_BACKGROUNDS
+from ..core.names import FIT_BACKGROUNDS, checked_choice
+from ..core.npz import require_numbers
 from ..errors import InputError
 from ..field.io.field_file import surface_node_count
 from ..field.sparse import gathered, link_mask, mask_count, relinked
@@ -26,7 +26,7 @@ from ..kernels.fitting.background_loss import accumulate_layer_variation, apply_
 from ..scene.scene import Scene
 from ..view.camera import Camera, camera_array
 from .batches import PictureRays, ShardedWork, ViewCounts, launch_shards, sum_shards
-from .level import weighty_mask
+from .level import EPSILON, VARIATION_SIDE, weighty_mask
 from .memory import FitMemory
 from .options import FitOptions
 from .schedule import Rates, least_weight
@@ -52,8 +52,7 @@ COLOR_STRIDE = 8
 
 def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
     """Whether random colours are behind a field in a fit; and "layers", "outer" or None, what is fitted beside it."""
-    if kind not in FIT_BACKGROUNDS:
-        raise InputError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
+    checked_choice(kind, "background", FIT_BACKGROUNDS)
     if kind == "auto":
         if scene.alphas is None:
             return False, None if _is_plain(scene) else "outer"  # plain: its border shows the background alone
@@ -283,14 +282,8 @@ FRONT_DISTANCE, FRONT_SHARE = 0.7, 0.2
 #: variation of its colours, relative to those of the voxels' colours.
 SKY_SIDE, MAX_SKY, SKY_RATE, SKY_VARIATION = 4, 32, 4.0, 1.0
 
-#: Voxels along a side for which the weights of the total variation are meant.
-VARIATION_SIDE = 256.0
-
 #: Of the sky in a checkpoint.
 SKY_NAMES = ("outer_sky", "outer_sky_moments")
-
-#: Keeps a step finite where the second moment is almost zero.
-EPSILON = 1e-12
 
 #: Bytes of a value, a gradient or a moment; of a row's place; of a node's row and skip; of a ray's front; of a colour.
 VALUE_BYTES, PLACE_BYTES, NODE_BYTES, FRONT_BYTES, COLOR_BYTES = 16, 12, 5, 16, 12
@@ -417,7 +410,7 @@ class OuterOptimizer:
             kept = finer
         self._resample(coarse, kept, min(2 * coarse.grid.sky.side, MAX_SKY))
         del coarse, kept
-        # finer voxels tell better what is behind others
+        # finer voxels separate better what is behind others
         self._keep(self._weighty_mask(picture_rays, field, least_weight(self.options, self.outer.side), counts=True))
         self._allocate()
 

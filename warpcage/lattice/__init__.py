@@ -5,7 +5,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "closed_form": "GreenSolver MeanValueSolver",
+        "closed_form": "GreenSolver VertexWeightSolver",
         "graph": "PoseGraph",
         "harmonic": "HarmonicSolver",
         "lattice": "BLOCK_FACES CageLattice LINE_CAPACITY",

@@ -91,10 +91,10 @@ class PoseConstants:
     def __init__(self, device: wp.DeviceLike, slots: Sequence[tuple[int, type]]):
         device = wp.get_device(device)
         widths = [wp.types.type_size(dtype) for _, dtype in slots]
-        words = sum(count * width for (count, _), width in zip(slots, widths, strict=True))
+        length = sum(count * width for (count, _), width in zip(slots, widths, strict=True))
         pinned = device.is_cuda
-        self._staging = wp.zeros(words, dtype=wp.int32, device="cpu" if pinned else device, pinned=pinned)
-        self._buffer = wp.zeros(words, dtype=wp.int32, device=device) if pinned else self._staging
+        self._staging = wp.zeros(length, dtype=wp.int32, device="cpu" if pinned else device, pinned=pinned)
+        self._buffer = wp.zeros(length, dtype=wp.int32, device=device) if pinned else self._staging
         self.slots: list[Constant] = []
         begin = 0
         for (count, dtype), width in zip(slots, widths, strict=True):

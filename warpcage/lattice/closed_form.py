@@ -7,18 +7,11 @@ from abc import abstractmethod
 import numpy as np
 import warp as wp
 
+from ..coordinate_kinds import CoordinateKind
 from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import DEFAULT_WORK, launch
-from ..kernels.coordinates.green import weigh_green
-from ..kernels.coordinates.mean_value import weigh_mean_value
 from ..kernels.lattice.cage_map import place_nodes
-from ..kernels.lattice.closed_form import (
-    interpolate_nodes,
-    map_crossings_green,
-    map_nodes_green,
-    map_nodes_mean_value,
-    stretch_normals,
-)
+from ..kernels.lattice.closed_form import interpolate_nodes, map_crossings_green, stretch_normals
 from ..kernels.lattice.corrections import correct_values, measure_corrections
 from ..kernels.lattice.nodes import RINGS
 from ..mesh.faces import StretchTarget
@@ -31,15 +24,16 @@ from .solver import MapSolver, WeightBlock
 
 
 class ClosedFormSolver(MapSolver):
-    """What both closed forms share: few nodes are evaluated, and the others interpolated."""
+    """Maps by the kernels of a closed form: few nodes are evaluated, and the others interpolated."""
 
-    def __init__(self, lattice: CageLattice):
+    def __init__(self, lattice: CageLattice, kind: CoordinateKind):
         super().__init__(lattice, LatticeNodes(lattice, level_count=1, interpolates=True))
         # indices of these faces stay in here: all others mean the lattice's
         self._faces = wp.array(lattice.cage.topology.fans.faces, dtype=wp.vec3i, device=self.device)
         self._fans = empty_array(2 * self._faces.size, wp.vec4, self.device)
         self._vertices = lattice.constants.centered.array
         self._size = float(lattice.resolution)  # of the cage, node units
+        self._kind, self._map_nodes = kind, kind.load("map_nodes")
 
     def clear(self, sizes: PoseSizes) -> None:
         """Launch what clears the values and the count of gaps and prepares the faces, before a solution."""
@@ -66,6 +60,18 @@ class ClosedFormSolver(MapSolver):
         self.continue_map(sections, vertex_values, values)
         self.gaps.search(self.lattice, self.nodes.levels, self.rows, sections, values)
 
+    def weigh(self) -> list[WeightBlock]:
+        """The weights (m, v) of vertices, and (m, f) of faces in the order of fans where there are any, of all inside
+        nodes in one block."""
+        points = empty_array(self.nodes.sections.finest_inside, wp.vec3, self.device)
+        self._launch(place_nodes, points.size, [0, self.nodes.levels], [points])
+        faces = self._faces if self._kind.has_face_weights else self.lattice.faces
+        columns = [self.lattice.vertices.size] + [faces.size] * self._kind.has_face_weights
+        weights = [empty_array((points.size, count), wp.float32, self.device) for count in columns]
+        inputs = [points, self._vertices, faces, self._size]
+        self._launch(self._kind.load("weigh_points"), points.size, inputs, weights, all_faces=True)
+        return [(0, weights[0], weights[1] if self._kind.has_face_weights else None)]
+
     @abstractmethod
     def _launch_map(self, sections: NodeSections, target: MapTarget, values: wp.array) -> None:
         """Launch the map at the inside nodes that are not interpolated, and what describes the cut nodes."""
@@ -79,22 +85,13 @@ class ClosedFormSolver(MapSolver):
         work = self._faces.size if all_faces else DEFAULT_WORK
         launch(kernel, count, inputs, outputs, device=self.device, work=work)
 
-    def _inside_places(self) -> wp.array:
-        """Places (m,) of all inside nodes of the last pose, node units."""
-        points = empty_array(self.nodes.sections.finest_inside, wp.vec3, self.device)
-        self._launch(place_nodes, points.size, [0, self.nodes.levels], [points])
-        return points
 
-    def _empty_weights(self, count: int, columns: int) -> wp.array:
-        return empty_array((count, columns), wp.float32, self.device)
+class VertexWeightSolver(ClosedFormSolver):
+    """Maps that are linear on each face, as mean value maps: the rings continue them through the cage from inside.
+    Their formula may hold outside the cage too, but bends at its edges and, in gaps, from one side to the other."""
 
-
-class MeanValueSolver(ClosedFormSolver):
-    """Mean value maps, which the rings continue through the cage from inside, as harmonic maps do.
-    Their formula holds outside the cage too, but bends at its edges and, in gaps, from one side to the other."""
-
-    def __init__(self, lattice: CageLattice):
-        super().__init__(lattice)
+    def __init__(self, lattice: CageLattice, kind: CoordinateKind):
+        super().__init__(lattice, kind)
         self._table = CutRowTable(lattice.buffers)
         self._corrections = lattice.buffers.buffer(wp.vec3)
 
@@ -103,19 +100,11 @@ class MeanValueSolver(ClosedFormSolver):
         self._describe(sizes.lists)
         super().launch_continuation(sizes, vertex_values)
 
-    def weigh(self) -> list[WeightBlock]:
-        """The weights (m, v) of all inside nodes in one block."""
-        points, corners = self._inside_places(), self.lattice.vertices.size
-        weights = self._empty_weights(points.size, corners)
-        inputs = [points, self._vertices, self.lattice.faces, self._size]
-        self._launch(weigh_mean_value, points.size, inputs, [weights], all_faces=True)
-        return [(0, weights, None)]
-
     def _launch_map(self, sections: NodeSections, target: MapTarget, values: wp.array) -> None:
         with self.lattice.side.fork():
             self._describe(sections)
         cage = [self._vertices, self._faces, self._fans, target.vertex_values, self._size]
-        self._launch(map_nodes_mean_value, sections.evaluated, [self.nodes.levels, *cage], [values], all_faces=True)
+        self._launch(self._map_nodes, sections.evaluated, [self.nodes.levels, *cage], [values], all_faces=True)
         self.lattice.side.join()
 
     def _describe(self, sections: NodeSections) -> None:
@@ -141,8 +130,8 @@ class MeanValueSolver(ClosedFormSolver):
 class GreenSolver(ClosedFormSolver):
     """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly."""
 
-    def __init__(self, lattice: CageLattice):
-        super().__init__(lattice)
+    def __init__(self, lattice: CageLattice, kind: CoordinateKind):
+        super().__init__(lattice, kind)
         self._rest: ClosedMesh | None = None
         self._rest_faces: list[wp.array] = []
         self._face_values = empty_array(self._faces.size, wp.vec3, self.device)
@@ -175,18 +164,9 @@ class GreenSolver(ClosedFormSolver):
         inputs = [self.nodes.levels, rows, marks, self._vertices, self._faces, self._fans, *values, self._size]
         self._launch(map_crossings_green, boundary.size, inputs, [boundary], all_faces=True)
 
-    def weigh(self) -> list[WeightBlock]:
-        """The weights (m, v) of vertices and (m, f) of faces, as fans have them, of all inside nodes in one block."""
-        points, corners = self._inside_places(), self.lattice.vertices.size
-        vertex_weights = self._empty_weights(points.size, corners)
-        face_weights = self._empty_weights(points.size, self._faces.size)
-        inputs = [points, self._vertices, self._faces, self._size]
-        self._launch(weigh_green, points.size, inputs, [vertex_weights, face_weights], all_faces=True)
-        return [(0, vertex_weights, face_weights)]
-
     def _launch_map(self, sections: NodeSections, target: MapTarget, values: wp.array) -> None:
         cage = [self._vertices, self._faces, self._fans, *self.weighted_values(target), self._size]
-        self._launch(map_nodes_green, sections.evaluated, [self.nodes.levels, *cage], [values], all_faces=True)
+        self._launch(self._map_nodes, sections.evaluated, [self.nodes.levels, *cage], [values], all_faces=True)
 
     def continue_map(self, sections: NodeSections, vertex_values: wp.array, values: wp.array) -> None:
         for ring in range(RINGS):

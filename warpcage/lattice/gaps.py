@@ -49,7 +49,7 @@ def lattice_side_bytes(lattice: CageLattice) -> int:
 
 @dataclass(frozen=True, eq=False)
 class MapTarget:
-    """What a map on a lattice takes the cage to."""
+    """The values of a map on the cage of a lattice."""
 
     rest: ClosedMesh
     affine: wp.array  # (4,) vec3 on the device, the affine part of the map; see add_affine
@@ -98,7 +98,7 @@ class MapSides:
     def launch(
         self, sizes: PoseSizes, lattice: CageLattice, nodes: MapNodes, target: MapTarget, room: int | None
     ) -> None:
-        """Launch what fills the tables, behind `launch_marks`, with the affine part in `nodes`; `take` tells what they
+        """Launch what fills the tables, behind `launch_marks`, with the affine part in `nodes`; `take` reads what they
         hold. room: rows of the table, at most; None waits until the device has counted them."""
         counts, offsets = self._launch_count(sizes, nodes)
         if room is None:
@@ -180,9 +180,9 @@ class GapFlags:
         return self.flags
 
     def found(self) -> bool:
-        """Whether there are any, also such that hold no node; waits for the device."""
+        """Whether there are narrow gaps, with or without nodes in them; waits for the device."""
         return int(self.count.numpy()[0]) > 0 or int(self._narrow.numpy()[0]) == 2
 
     def total(self) -> int:
-        """How many nodes are flagged; waits for the device."""
+        """The number of flagged nodes; waits for the device."""
         return int(self.flags.numpy().sum())

@@ -17,7 +17,7 @@ DEFAULT_SIDES = 4
 
 
 class PoseGraph:
-    """The launches of a pose, captured with somewhat more room than the pose at hand needs.
+    """The launches of a pose, captured with somewhat more room than the current pose needs.
     The first pose of the launches is computed step by step, before."""
 
     # The first graph uploads the constants, lays the lattice out and lists nodes; the second uploads the map's, which
@@ -45,7 +45,7 @@ class PoseGraph:
         return self._generation == self._buffers.generation and sizes.fits(self._bounds)
 
     def release(self) -> None:
-        """Capture anew at the next pose, with room for the one at hand: it had none, or buffers have moved."""
+        """Capture again at the next pose, with room for the current one, which had none, or whose buffers moved."""
         self._make_room()
         self._layout = self._map = self._sides = None
 
@@ -108,7 +108,7 @@ class PoseGraph:
         return self._room
 
     def _make_room(self) -> None:
-        """Have room for the pose at hand, and no less than before: poses that take turns fit the same graph."""
+        """Make room for the current pose, and keep that of earlier ones: alternating poses fit the same graph."""
         self._room = self._solver.sizes.roomier(self._room)
 
     def capture(self) -> None:

@@ -9,11 +9,10 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.checks import warn_caller
+from ..core.checks import checked_number, warn_caller
 from ..core.devices import lane_count, launch, launch_off_tape
 from ..core.modules import load_modules, require_loaded
-from ..core.reports import report_progress
-from ..errors import InputError
+from ..core.reports import Progress, report_progress
 from ..kernels.lattice import harmonic as harmonic_kernels
 from ..kernels.lattice import harmonic_coarse
 from ..kernels.lattice.cage_map import select_vertices, store_weights
@@ -62,9 +61,7 @@ COARSE_NODES = 2 * BLOCK_THREADS
 
 def require_tolerance(tolerance: float) -> float:
     """The tolerance of a harmonic solver, 2e-6 to 0.1, as a float."""
-    if not isinstance(tolerance, int | float | np.floating) or not MIN_TOLERANCE <= tolerance <= 0.1:
-        raise InputError(f"tolerance must be {MIN_TOLERANCE:g} to 0.1 of the cage's size, got {tolerance!r}")
-    return float(tolerance)
+    return checked_number(tolerance, "tolerance", MIN_TOLERANCE, 0.1)
 
 
 class HarmonicSolver(MapSolver):
@@ -121,14 +118,14 @@ class HarmonicSolver(MapSolver):
             self._launch(store_weights, count, [0, column, self.nodes.levels, self.values, weights])
         return [(0, weights, None)]
 
-    def solve_vertices(self) -> Iterator[tuple[int, wp.array]]:
+    def solve_vertices(self, progress: bool | Progress = False) -> Iterator[tuple[int, wp.array]]:
         """Solve for the weights of all cage vertices at inside nodes, three at a time; yields the index of the first
         and their boundary values (v,) vec3. Afterwards cycles and residual are the largest of all."""
         count = self.lattice.vertices.size
         selected = empty_array(count, wp.vec3, self.device)
         cycles, residual = 0, 0.0
         for column in range(0, count, 3):
-            report_progress(column, count, "harmonic weights")
+            report_progress(progress, column, count, "harmonic weights")
             self._launch(select_vertices, count, [column, selected])
             self.solve_inside(selected)
             cycles, residual = max(cycles, self.cycles), max(residual, self.residual)

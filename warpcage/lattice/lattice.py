@@ -10,16 +10,16 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.checks import require_ordinary_side
+from ..core.checks import checked_whole, require_ordinary_side
 from ..core.devices import HeldOnDevice, lane_count, launch, resolve_device
-from ..core.locks import in_turn
+from ..core.threads import in_turn
 from ..errors import InputError
 from ..kernels.lattice.crossings import RUN, LineCrossings, cross_lines
 from ..kernels.lattice.distance import (
     BAND,
     BLOCK,
     HALF_DIAGONAL,
-    WORD_FACES,
+    MASK_FACES,
     box_faces,
     find_candidates,
     list_block_faces,
@@ -41,8 +41,7 @@ BAND_REACH = float(BAND) + float(HALF_DIAGONAL)
 #: Room in these lists over what an even cage needs.
 LIST_ROOM = 3.0
 
-#: Fewest faces of a cage that are looked through for groups of blocks first, on a GPU, where that is two launches more,
-#: and on a CPU.
+#: Fewest faces of a cage for which groups of blocks are searched first, on a GPU (two more launches) and on a CPU.
 MANY_FACES, MANY_FACES_CPU = 512, 64
 
 #: Blocks along each side of a group at least, and the most bytes a node that the bits of all faces take there.
@@ -51,8 +50,8 @@ GROUP_SIDE, GROUP_BYTES = 4, 2
 #: Most threads that set these bits on a GPU, half of what their 32-bit numbers count.
 MAX_THREADS = 1 << 30
 
-#: Bytes of a face's box, and of a word of bits.
-BOX_BYTES, WORD_BYTES = 24, 4
+#: Bytes of the box of a face, and of a bit mask.
+BOX_BYTES, MASK_BYTES = 24, 4
 
 
 class BlockFaces:
@@ -67,7 +66,7 @@ class BlockFaces:
         self.group_side = group_side(len(cage.faces), max(shape))  # blocks along each side of a group
         # of blocks: how many faces are near (blocks,), which, the first m ascending (blocks, m), and clear octants
         self.counts, self.near, self.clear_octants = self._counts.take(0), self._near.take((0, 0)), self._clear.take(0)
-        # corners of each face's box (f, 2), node units; bits of faces near groups (groups, words); empty for few faces
+        # corners of each face's box (f, 2), node units; bits of faces near groups (groups, masks); empty for few faces
         self.boxes, self.candidates = self._boxes.take((0, 2)), self._candidates.take((0, 0))
 
     def launch(self, sizes: PoseSizes, shapes: wp.array, vertices: wp.array, faces: wp.array) -> None:
@@ -75,12 +74,12 @@ class BlockFaces:
         shapes: (L,) vec3i nodes along each axis of the levels; vertices: (v,) vec3, node units; faces: (f,) vec3i."""
         lanes, device = lane_count(self._device), self._device
         if faces.size >= (MANY_FACES_CPU if device.is_cpu else MANY_FACES):
-            words = word_count(faces.size)
+            masks = mask_count(faces.size)
             self.boxes = self._boxes.take((faces.size, 2))
-            self.candidates = self._candidates.take((sizes.groups, words))
+            self.candidates = self._candidates.take((sizes.groups, masks))
             launch(box_faces, faces.size, [vertices, faces], [self.boxes], device=device)
             inputs = [shapes, self.boxes, self.group_side]
-            launch(find_candidates, lanes * sizes.groups * words, inputs, [self.candidates], device=device)
+            launch(find_candidates, lanes * sizes.groups * masks, inputs, [self.candidates], device=device)
         self.counts, self.near = self._counts.take(sizes.blocks), self._near.take((sizes.blocks, self._listed))
         self.clear_octants = self._clear.take(sizes.blocks)
         inputs = [shapes, vertices, faces, self.boxes, self.group_side, self.candidates]
@@ -104,26 +103,25 @@ def more_list_bytes(cage: ClosedMesh, shape: tuple[int, int, int], spacing: floa
     total = 4 * block_count(shape) * (listed_faces(cage, shape, spacing) - BLOCK_FACES)
     if face_count >= min(MANY_FACES, MANY_FACES_CPU):
         total += BOX_BYTES * face_count
-        total += WORD_BYTES * word_count(face_count) * block_count(shape, group_side(face_count, max(shape)))
+        total += MASK_BYTES * mask_count(face_count) * block_count(shape, group_side(face_count, max(shape)))
     return total
 
 
 def group_side(face_count: int, longest: int) -> int:
-    """Blocks along each side of a group that faces are looked through for; `longest` counts nodes along the longest
-    side."""
+    """Blocks along each side of a group of blocks; `longest` counts nodes along the longest side of the lattice."""
     # Other poses may be as long along other sides. More nodes share the bits of many faces: the side doubles then.
-    side, words = GROUP_SIDE, word_count(face_count)
+    side, masks = GROUP_SIDE, mask_count(face_count)
     while (
-        WORD_BYTES * words > GROUP_BYTES * (int(BLOCK) * side) ** 3
-        or int(WORD_FACES) * words * block_count((longest, longest, longest), side) > MAX_THREADS
+        MASK_BYTES * masks > GROUP_BYTES * (int(BLOCK) * side) ** 3
+        or int(MASK_FACES) * masks * block_count((longest, longest, longest), side) > MAX_THREADS
     ):
         side *= 2
     return side
 
 
-def word_count(face_count: int) -> int:
-    """Words of 32 bits that have a bit for each face."""
-    return -(-face_count // int(WORD_FACES))
+def mask_count(face_count: int) -> int:
+    """32-bit masks with a bit for each face."""
+    return -(-face_count // int(MASK_FACES))
 
 
 def block_count(shape: tuple[int, int, int], group_side: int = 1) -> int:
@@ -141,10 +139,10 @@ MARGIN = (1.0 + math.sqrt(2), 1.0 + math.sqrt(3), math.sqrt(5))
 #: Crossings kept for a line at first; lines that need more make all of them longer.
 LINE_CAPACITY = 8
 
-#: Flags that a pose raises on the device; see PoseFlags.
+#: Flags of a pose; see PoseFlags.
 FLAGS = 4
 
-#: Most that float32 may be apart, in cells, where the lattice is: rounding leaves two cells of the margin.
+#: Largest spacing of float32 numbers at the lattice, in cells: rounding leaves two cells of the margin.
 MAX_ROUNDING = 0.4
 
 #: Bits of a float32 number's digits.
@@ -156,15 +154,11 @@ COARSEST_RESOLUTION = 4
 
 def require_resolution(resolution: int) -> int:
     """The number of cells along the longest side of a lattice, 8 to 1024, as an int."""
-    if isinstance(resolution, bool) or not isinstance(resolution, int | np.integer):
-        raise InputError(f"resolution must be a whole number of cells, got {resolution!r}")
-    if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
-        raise InputError(f"resolution must be {MIN_RESOLUTION} to {MAX_RESOLUTION} cells, got {resolution}")
-    return int(resolution)
+    return checked_whole(resolution, "resolution", MIN_RESOLUTION, MAX_RESOLUTION)
 
 
 class PoseFlags:
-    """What a pose reports on the device while its lattice is laid out: (1,) int each of (FLAGS,) int, zero at first."""
+    """Flags of a pose that kernels set while its lattice is laid out: (1,) int each of (FLAGS,) int, zero at first."""
 
     def __init__(self, array: wp.array):
         # lines: crossings of the longest line that has no room; lists: 1 where a list has none; narrow: 1 where gaps
@@ -276,13 +270,13 @@ class CageLattice(HeldOnDevice):
         return wp.vec3(*(self.lower - self.origin).tolist())  # NumPy's own take Warp longer
 
     def sizes(self, level_count: int) -> PoseSizes:
-        """What launches over this pose count, of so many levels, before nodes are listed: sizes without sections."""
+        """The sizes of launches over this pose on so many levels, without sections: nodes are not listed yet."""
         return pose_sizes(self.layout, level_count, self.block_faces.group_side)
 
     def launch_geometry(self, sizes: PoseSizes) -> None:
         """Launch what finds crossings and signed distances, the constants being sent; sizes: of the pose, or bounds."""
         self._launch_geometry(sizes)
-        while sizes.sections is None and self._lengthen_lines():  # waits for the device; later `flags` tell
+        while sizes.sections is None and self._lengthen_lines():  # waits for the device; later poses look at `flags`
             self._launch_geometry(sizes)
 
     def _launch_geometry(self, sizes: PoseSizes) -> None:
@@ -331,7 +325,7 @@ def lattice_frame(
     if not math.ldexp(1.0, math.frexp(far)[1] - FLOAT32_BITS) <= MAX_ROUNDING * spacing:
         raise InputError(
             f"the cage reaches {far:.3g} from the origin of its lattice, {far / cage.size:.2g} times its "
-            f"size: float32 cannot tell cells of {spacing:.2g} apart there, move it nearer or take a "
+            f"size: float32 cannot separate cells of {spacing:.2g} there, move it nearer or take a "
             f"resolution below {resolution}"
         )
     lower = [float(np.float32(a - margin * spacing - o)) + o for a, margin, o in zip(low, MARGIN, place, strict=True)]
@@ -358,7 +352,7 @@ class LevelLayout:
 
 @functools.lru_cache(maxsize=256)
 def level_layout(shape: tuple[int, int, int], level_count: int) -> LevelLayout:
-    """The layout of a lattice of so many nodes along each axis; poses of the same shape share it."""
+    """The layout of a lattice of `shape` nodes; poses of the same shape share it."""
     sides = [np.asarray(shape, dtype=np.int64)]
     for _ in range(level_count - 1):
         sides.append(sides[-1] // 2 + 1)
@@ -373,7 +367,7 @@ def level_layout(shape: tuple[int, int, int], level_count: int) -> LevelLayout:
 
 @functools.lru_cache(maxsize=256)
 def pose_sizes(layout: LevelLayout, level_count: int, group_side: int) -> PoseSizes:
-    """What launches over a lattice count, before its nodes are listed: sizes without sections.
+    """The sizes of launches over a lattice, without sections: nodes are not listed yet.
     `level_count` levels are used; `group_side` counts blocks along each side of a group."""
     nx, ny, nz = layout.shape
     level_nodes, level_columns = int(layout.first_node[level_count]), int(layout.first_column[level_count])

@@ -19,7 +19,7 @@ STATUS_WORDS = 5
 
 
 class MapSource(Protocol):
-    """What can fill in a map: a solver, or the weights that it worked out."""
+    """What fills in a map: a solver, or its stored weights."""
 
     def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:
         """See MapSolver."""
@@ -27,7 +27,7 @@ class MapSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PoseStatus:
-    """What a pose was found to be, once it is computed."""
+    """The outcome of a computed pose."""
 
     has_room: bool  # whether lines and lists were long enough
     solution: np.ndarray  # (2,) cycles and residual of the solver
@@ -51,7 +51,7 @@ class PoseLaunches(HeldOnDevice):
         return self.solver.launch_layout(sizes)
 
     def launch_map(self, sizes: PoseSizes, source: MapSource | None = None) -> None:
-        """Launch the map that the lattice's map_constants hold, from their upload on; `wait` tells how it ended.
+        """Launch the map that the lattice's map_constants hold, from their upload on; `wait` returns how it ended.
         sizes: with sections; source: what fills in the map, None is the solver."""
         lattice, solver, levels = self._lattice, self.solver, self.solver.nodes.levels
         values = solver.values_of(sizes)
@@ -67,7 +67,7 @@ class PoseLaunches(HeldOnDevice):
         lattice.side.join()
 
     def wait(self) -> PoseStatus:
-        """Wait for the map, and tell how it ended."""
+        """Wait for the map, and return how it ended."""
         status = self._status.wait()
         return PoseStatus(
             has_room=status[0] == 0.0 and status[1] == 0.0,
@@ -77,7 +77,7 @@ class PoseLaunches(HeldOnDevice):
         )
 
     def launch_sides(self, sizes: PoseSizes, room: int | None = None) -> None:
-        """Launch the tables of sides, of a map that is there; `sides.take` tells what they hold.
+        """Launch the tables of sides, of a map that is there; `sides.take` reads what they hold.
         sizes: with sections; room: rows of the tables, at most, None waits until the device has counted them."""
         solver, sides, sections = self.solver, self.sides, sizes.lists
         lattice, levels, values = self._lattice, solver.nodes.levels, solver.values_of(sizes)

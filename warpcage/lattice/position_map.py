@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,28 +11,27 @@ from numpy.typing import ArrayLike
 from ..core.arrays import PointsLike, WarpStruct, empty_array
 from ..core.checks import warn_caller
 from ..core.devices import HeldOnDevice, resolve_device
-from ..core.locks import owner_lock
 from ..core.memory import free_bytes, require_memory
-from ..core.names import FIELD_COORDINATES, chosen, require_coordinates, require_store
+from ..core.names import FIELD_COORDINATES, coordinate_kind, require_store
+from ..core.threads import owner_lock
 from ..errors import InputError
 from ..kernels.lattice.cage_map import CageMap
 from ..mesh.faces import face_area
 from ..mesh.match import posed_mesh, require_same_faces
 from ..mesh.mesh import ClosedMesh, require_mesh
 from ..mesh.validity import require_usable
-from .closed_form import GreenSolver, MeanValueSolver
 from .gaps import REPORTED_JUMP, MapTarget, lattice_side_bytes, side_bytes
 from .graph import PoseGraph
-from .harmonic import HarmonicSolver, require_tolerance
+from .harmonic import require_tolerance
 from .lattice import CageLattice, lattice_frame, more_list_bytes, require_resolution
 from .launches import PoseLaunches
 from .solver import LatticeWeights, MapSolver
 
-#: Bytes that a node, a lattice line and a square cell of the cage surface take, and some in any case.
+#: Bytes for each node (and its coarser levels), lattice line and square cell of the cage surface, and a fixed part.
 NODE_BYTES, LEVELS_BYTES, LINE_BYTES, SURFACE_BYTES, FIXED_BYTES = 20, 4, 100, 350, 1 << 19
 
 
-#: How many times the memory of the rest pose must be free for graphs to be captured before the first pose.
+#: Free memory, in multiples of that of the rest pose, from which graphs are captured before the first pose.
 WARM_MEMORY = 8
 
 #: Crossings of a lattice line that these graphs have room for: twice what lines have otherwise.
@@ -42,7 +40,7 @@ WARM_CROSSINGS = 16
 
 @dataclass(frozen=True, eq=False)
 class BegunPose:
-    """A pose that was begun, and not finished yet."""
+    """A pose between `begin` and `finish`."""
 
     cage: ClosedMesh
     draft: WarpStruct | None = None  # the map to be, without sides of narrow gaps, where a graph is at work on it
@@ -64,7 +62,7 @@ class PositionMap(HeldOnDevice):
 
     Args:
         rest: The canonical Cage.
-        coordinates: "harmonic", "mean_value" or "green".
+        coordinates: "harmonic", "mean_value" or "green" (coordinate_kinds.py).
         resolution: Cells along the longest side of the deformed cage, 8 to 1024.
         origin: (3,) world point that device arrays are relative to. None is the middle of the rest cage's bounding box.
         device: Warp device. None is CUDA where there is one.
@@ -103,7 +101,8 @@ class PositionMap(HeldOnDevice):
         store: str = "map",
         tolerance: float = 1e-5,
     ):
-        self.coordinates, self.store = require_coordinates(coordinates), require_store(store)
+        self._kind, self.store = coordinate_kind(coordinates), require_store(store)
+        self.coordinates: str = self._kind.name
         require_mesh(rest, "the rest cage must be")
         require_usable(rest, "rest cage")
         self.rest = rest
@@ -158,7 +157,7 @@ class PositionMap(HeldOnDevice):
             does the work, and perhaps makes buffers anew.
 
         Raises:
-            ValueError: As `pose`, for what can be told before the work.
+            ValueError: As `pose`, for what is known before the work.
         """
         deformed = posed_mesh(self.rest, deformed, "a pose must be")
         if deformed.size == 0.0:  # no lattice at all
@@ -200,7 +199,7 @@ class PositionMap(HeldOnDevice):
         return self
 
     def _let_go(self) -> None:
-        """Forget a pose that was not finished, once the device no longer reads what the host wrote for it."""
+        """Forget an unfinished pose, once the device no longer reads what the host wrote for it."""
         if self._is_at_work and self.launches is not None:
             self.launches.wait()
         self._begun, self._is_at_work = None, False
@@ -349,7 +348,7 @@ class PositionMap(HeldOnDevice):
         surface = face_area(deformed) / spacing**2
         total = FIXED_BYTES + NODE_BYTES * nodes + LINE_BYTES * lines + SURFACE_BYTES * surface + 5 * inside
         total += more_list_bytes(deformed, shape, spacing)
-        if self.coordinates == "harmonic":
+        if not self._kind.is_closed_form:
             total += LEVELS_BYTES * nodes
         if gaps:
             total += side_bytes(nodes, surface)
@@ -369,9 +368,8 @@ class PositionMap(HeldOnDevice):
         return f"a {self.coordinates} {self.store} lattice at resolution {self.resolution} needs {{size}}: {remedy}"
 
     def _new_solver(self, lattice: CageLattice) -> MapSolver:
-        harmonic = functools.partial(HarmonicSolver, tolerance=self.tolerance)
-        kinds = {"harmonic": harmonic, "mean_value": MeanValueSolver, "green": GreenSolver}
-        return chosen(self.coordinates, "coordinates", **kinds)(lattice)
+        solver = self._kind.load("solver")
+        return solver(lattice, self._kind) if self._kind.is_closed_form else solver(lattice, tolerance=self.tolerance)
 
     def _write_values(self, lattice: CageLattice) -> None:
         """The residual of the map, and its affine part, to the lattice's map_constants; still to be sent."""

@@ -1,4 +1,4 @@
-"""How many items the launches of a pose have: those of the pose at hand, or bounds that other poses fit as well."""
+"""The numbers of items that a pose launches: exact, or upper bounds that other poses fit as well."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 
 from ..kernels.lattice.nodes import RINGS
 
-#: Room that launches have over the pose at hand, as a share of it, so that they serve other poses of the same cage as
+#: Room that launches have over the current pose, as a share of it, so that they serve other poses of the same cage as
 #: well: of lattices with fewer nodes than FINE_NODES, whose buffers are small and whose idle threads take no time, room
 #: for most poses that are not a stretch of the whole; else for those that differ by little.
 FINE_NODES, WIDE_ROOM, NARROW_ROOM = 1 << 22, 1.0, 0.125
 
 
 def room_share(nodes: int) -> float:
-    """Room over the pose at hand, as a share of what it counts."""
+    """Room over the sizes of the current pose, as a share."""
     return WIDE_ROOM if nodes < FINE_NODES else NARROW_ROOM
 
 

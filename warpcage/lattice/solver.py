@@ -1,4 +1,4 @@
-"""MapSolver: what PositionMap asks of the three ways to work out a map; the weights of all cage vertices."""
+"""MapSolver, the interface of solvers of maps on a lattice, and the weights of all cage vertices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import warp as wp
 
 from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import HeldOnDevice, launch
-from ..core.names import chosen
+from ..core.names import coordinate_kind
 from ..kernels.lattice.cage_map import apply_weights
 from ..kernels.lattice.cut_rows import CutRows
 from ..kernels.lattice.side_values import set_boundary_values
@@ -121,7 +121,7 @@ class LatticeWeights(HeldOnDevice):
     @staticmethod
     def row_bytes(coordinates: str, cage: ClosedMesh) -> int:
         """Bytes on the device of the weights of one node."""
-        faces = chosen(coordinates, "coordinates", harmonic=0, mean_value=0, green=len(cage.faces))
+        faces = coordinate_kind(coordinates).has_face_weights * len(cage.faces)
         return 4 * (len(cage.vertices) + faces)
 
     def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:

@@ -68,7 +68,7 @@ def prepared_fans(vertices: wp.array, faces: wp.array, size: float, out: wp.arra
 
 class MeshTopology:
     """Edges and connected parts of triangles (f, 3): they depend on faces alone, so all poses share them.
-    The attributes hold what is wrong itself, so that an error can name the first one."""
+    Attributes list the faces, edges and vertices at fault, so that errors can name the first one."""
 
     def __init__(self, vertex_count: int, faces: ArrayLike):
         self._faces = faces = np.asarray(faces, dtype=np.int64)
@@ -206,7 +206,7 @@ class TriangleMesh(Protocol):
 
 class ClosedMesh:
     """A triangle mesh that is meant to be closed and to look outward, immutable, of vertices (v, 3), world units, and
-    faces (f, 3), anticlockwise seen from outside; ValueError for what cannot be held."""
+    faces (f, 3), anticlockwise seen from outside; ValueError for arrays of other shapes or values."""
 
     # An open, inverted or tangled mesh is held, so that it can be described and mended; what computes on a mesh calls
     # `mesh.validity.require_usable` first. Messages call it a cage: users make one as a `warpcage.Cage`.
@@ -323,7 +323,7 @@ class ClosedMesh:
 
 
 def require_mesh(value: object, what: str) -> None:
-    """Refuse an object that is no mesh; the message begins with `what`: "`what` a Cage, got ..."."""
+    """Refuse an object that is no mesh, by the message "`what` a Cage, got ..."."""
     if not isinstance(value, ClosedMesh):
         raise InputError(f"{what} a Cage, got {type(value).__name__}")
 
@@ -354,7 +354,7 @@ def _checked_faces(given: Any, vertex_count: int) -> np.ndarray:
 #: The axes by name, the longest first.
 OWN_AXES = ("long", "middle", "short")
 
-#: Axes along which a mesh reaches nearly as far as along the next one are not told apart: least ratio of variances.
+#: Least ratio of the variances along two principal axes that are distinguished.
 _MIN_RATIO = 1.05
 
 

@@ -81,7 +81,7 @@ FINEST_LEVEL = -19
 #: Pairs of boxes that are looked at together.
 CANDIDATES = 1 << 20
 
-#: Pairs of faces that are tested together at least, as a call takes as long as some hundred of them.
+#: Least number of pairs of faces that are tested together: a call costs as much as a few hundred of them.
 PAIRS = 1 << 12
 
 
@@ -107,7 +107,7 @@ def intersecting_faces(vertices: ArrayLike, faces: ArrayLike) -> np.ndarray:
 
 
 def _together(parts: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
-    """Pairs that come in many small parts, in few: at least PAIRS in each but the last."""
+    """The same pairs in fewer, larger parts: at least PAIRS in each but the last."""
     held: list[np.ndarray] = []
     for part in parts:
         held.append(part)

@@ -14,13 +14,13 @@ from .mesh import ClosedMesh
 #: A face lower than this share of the mesh's size has no normal in float32.
 DEGENERATE_HEIGHT = 1e-7
 
-#: Smallest and largest size whose powers and vertices numbers hold.
+#: Smallest and largest size: the powers of others leave the range of floats.
 SMALLEST_SIZE, LARGEST_SIZE = 1e-32, 1e32
 
 #: Solid angles, of faces from points, that are worked out at once.
 NUMBERS_AT_ONCE = 1 << 12
 
-#: Odd factors of a hash over three words: two places almost never share one.
+#: Odd factors of a hash over three integers: two places almost never share one.
 _PLACE_FACTORS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
 #: What `require_usable` found, empty for usable meshes. Meshes are immutable and compared by identity.

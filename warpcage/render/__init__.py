@@ -7,7 +7,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
     {
         "launch": "FrameLauncher FrameTables FrameTarget load_pose_modules render_modules",
         "plan": "FrameFacts FramePlan PlannedEdit plan_frame",
-        "shading": "CarriedShades",
+        "shading": "CarriedColors",
         "tables": "FineCells",
         "tile_order": "BalancedTiles",
     },

@@ -22,24 +22,24 @@ from ..view.pictures import shrink
 #: Pictures that are compared, and their longer side, pixels; fewer while explanations are looked for.
 PICTURES, SIDE, FEW = 6, 96, 3
 
-#: Points of the field by which it is told what cameras have in their pictures, and the least share that is something.
+#: Points of the field that are looked for in pictures, and the smallest share of them that a camera must see.
 POINTS, MIN_SHARE = 2000, 0.005
 
-#: A field shows something else where what it shows goes along with the pictures less than this (a correlation), and is
-#: no nearer to them than one flat colour.
+#: A field does not belong to pictures where its correlation with them is below this, and its error above that of one
+#: flat colour.
 UNLIKE = 0.7
 
-#: What explains them goes along with them so much, and leaves at most so much of the error of one flat colour, where it
-#: covers them and, less what it covers wrongly, over all pixels.
+#: A motion explains pictures with at least this correlation, and at most these shares of the error of one flat colour:
+#: where the field covers them, and over all pixels.
 ALIKE, LEFT, LEFT_OF_ALL = 0.6, 0.8, 0.97
 
-#: Splats that explanations are looked for with, at most.
+#: Most splats with which explanations are looked for.
 MAX_SPLATS = 100_000
 
-#: Scales that are tried: those about, and then the finer ones about the best of them.
+#: Scales that are tried: coarse ones, and then finer ones around the best of them.
 SCALES, FINER = np.geomspace(1e-3, 1e3, 61), np.geomspace(0.9, 1.1, 9)
 
-#: It is where it is.
+#: No motion.
 STILL = Similarity(1.0, np.eye(3), np.zeros(3))
 
 
@@ -95,7 +95,7 @@ class Likeness:
 
 
 def likeness(field: AnyField, glimpses: list[Glimpse], motion: Similarity = STILL) -> Likeness:
-    """How a field that a motion takes to the world of some pictures shows them."""
+    """The likeness to pictures of a field after a motion to their world."""
     back = inverse(motion)
     products, errors, whole = np.zeros(3), np.zeros(2), 0.0
     for glimpse in glimpses:
@@ -115,27 +115,27 @@ def likeness(field: AnyField, glimpses: list[Glimpse], motion: Similarity = STIL
 
 
 def mismatch(field: AnyField, views: SceneViews) -> str | None:
-    """How a field does not belong to a scene's cameras, in words, and what would explain it; None where it does."""
+    """A message of how a field differs from a scene's pictures, and what would explain it; None where it does not."""
     found = likeness(field, views.glimpses)
     if not found.is_doubtful:
         return None
     points, few = object_points(field, POINTS), views.glimpses[:: max(1, len(views.glimpses) // FEW)]
     blind = sum((picture_counts([each], points) > 0).mean() < MIN_SHARE for each in views.cameras if len(points))
-    words = f"what it shows is unlike the pictures (correlation {found.correlation:.2f})"
+    message = f"what it shows is unlike the pictures (correlation {found.correlation:.2f})"
     if 2 * blind > len(views.cameras) or not np.isfinite(found.error):
-        words = f"{blind} of {len(views.cameras)} cameras see nothing of it"
+        message = f"{blind} of {len(views.cameras)} cameras see nothing of it"
     fitting = [each for each in _explanations(_thinned(field), few) if each[1].explains]
     if fitting:
         what, best = min(fitting, key=lambda each: each[1].left)
-        return f"{words}; {what} would explain it (correlation {best.correlation:.2f})"
+        return f"{message}; {what} would explain it (correlation {best.correlation:.2f})"
     return (
-        f"{words}; neither a turn by 90 degrees nor a scale explains it (splats of nerfstudio: --frame "
+        f"{message}; neither a turn by 90 degrees nor a scale explains it (splats of nerfstudio: --frame "
         "dataparser_transforms.json)"
     )
 
 
 def _explanations(field: AnyField, glimpses: list[Glimpse]) -> Iterator[tuple[str, Likeness]]:
-    """Turns and scales about the origin, in words, and how the field shows pictures after them."""
+    """Descriptions of turns and scales about the origin, and the likeness of the field after each."""
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             turn = np.eye(3)[list(order)] * np.array(signs)[:, None]

@@ -1,4 +1,4 @@
-"""The launches of a frame: the march that its plan says, and which modules of kernels poses and frames launch."""
+"""The launches of a planned frame, and the modules of kernels that poses and frames launch."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import warp as wp
 from ..core.arrays import array_view
 from ..core.devices import RecordedLaunches
 from ..core.modules import Kernel, load_modules
+from ..core.names import coordinate_kind
+from ..core.reports import Progress
 from ..field import tables
 from ..field.render import STOP_TRANSMITTANCE, FieldView, new_picture
 from ..kernels.core import texels
@@ -18,20 +20,7 @@ from ..kernels.edits import cell_tables, fine_cells, inverse, structs
 from ..kernels.edits import nodes as map_cells
 from ..kernels.field import columns, densities, rows
 from ..kernels.field import occupancy as grid_skip
-from ..kernels.lattice import (
-    closed_form,
-    corrections,
-    crossings,
-    cut_rows,
-    distance,
-    gaps,
-    harmonic,
-    harmonic_coarse,
-    nodes,
-    rings,
-    side_values,
-)
-from ..kernels.mesh import fans
+from ..kernels.lattice import crossings, distance, gaps, nodes, rings, side_values
 from ..kernels.render import march_cpu, shading
 from ..kernels.render.march_cpu import render_edit_tiles
 from ..kernels.render.rays import MarchOptions, Picture, ScenePart
@@ -43,19 +32,15 @@ from ..view.camera import camera_struct
 from .plan import FramePlan, PlannedEdit
 from .tile_order import BalancedTiles
 
-#: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
+#: Modules of the kernels that every pose launches.
 POSE_MODULES = (crossings, distance, nodes, rings, gaps, side_values, cell_tables, structs, grid_skip)
 
-SOLVER_MODULES = {
-    "harmonic": (harmonic, harmonic_coarse, cut_rows),
-    "mean_value": (closed_form, fans, cut_rows, corrections),
-    "green": (closed_form, fans, cut_rows),
-}
 
-
-def load_pose_modules(coordinates: str, others: Sequence[ModuleType | Kernel], device: wp.Device) -> None:
+def load_pose_modules(
+    coordinates: str, others: Sequence[ModuleType | Kernel], device: wp.Device, progress: bool | Progress = False
+) -> None:
     """Compile and load the kernels of a pose side by side, with what frames need beside them."""
-    load_modules([*POSE_MODULES, *SOLVER_MODULES[coordinates], *others], device)
+    load_modules([*POSE_MODULES, *coordinate_kind(coordinates).kernel_modules(), *others], device, progress)
 
 
 def render_modules(device: wp.Device, edit_count: int = 1, has_fragments: bool = False) -> list[ModuleType | Kernel]:
@@ -68,20 +53,20 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_fragments: bool =
     march_modules = [fine_cells, map_cells, *several]
     kernel_of = part_kernel if several else view_kernel
     by_rows = [kernel_of(False, has_sides) for has_sides in (False, True)]
-    if device.is_cpu and not tables.SHADES_ON_CPU:
+    if device.is_cpu and not tables.SHADED_ON_CPU:
         return [*march_modules, *by_rows]
     shaded = [kernel_of(True, has_sides) for has_sides in (False, True)]
-    # poses that turn matter over are marched by rows, and no hand that moves a cage is to wait for a compiler
+    # poses that turn matter over are marched by rows: loaded now, so that no drag waits for a compiler
     frame_modules = [columns, densities, rows, texels, tile_order]
     return [*march_modules, inverse, shading, *shaded, *by_rows, *frame_modules]
 
 
-#: One of the three arrays that hold the state of rays takes so much for a ray.
+#: Bytes of a ray in each of the three arrays that hold the state of rays.
 STATE_BYTES = wp.types.type_size_in_bytes(wp.vec4)
 
 
 class FrameTarget(NamedTuple):
-    """What every march of a frame is told last, and what it fills."""
+    """The last arguments of every march of a frame, and the arrays that it fills."""
 
     pinhole: Any  # the PinholeCamera of the rays, relative to the field's origin
     background: wp.vec3
@@ -95,7 +80,7 @@ class FrameTarget(NamedTuple):
 class FrameTables(NamedTuple):
     """What the march of a frame through edits on lattices reads."""
 
-    field: list[Any]  # the VoxelGrid, its rows or shades, and its matter cells for lanes of tiles
+    field: list[Any]  # the VoxelGrid, its rows or colours, and its matter cells for lanes of tiles
     edits: Sequence[Any]  # EditData of those that are marched by themselves, front to back
     boxes: Sequence[list[list[float]]]  # of each, (2, 3) from the field's origin; none where one is marched whole
     stack: wp.array | None  # (edits,) EditData of a stack
@@ -125,13 +110,13 @@ class FrameLauncher:
     """Launches marches; of edits apart one for each, between which rays keep their state."""
 
     def __init__(self, device: wp.Device):
-        self.rays = BufferPool(device).buffer(wp.vec4)  # kept: CUDA hands out memory slower than it fills it
+        self.rays = BufferPool(device).buffer(wp.vec4)  # kept: CUDA allocates memory slower than it fills it
         self._launches, self._tiles = RecordedLaunches(device), BalancedTiles(device)
         self._block: wp.array | None = None
         self._parts: list[tuple[list[list[float]], Any]] = []
 
     def launch_frame(self, plan: FramePlan, tables: FrameTables, target: FrameTarget) -> None:
-        """March a view as its plan says."""
+        """March a view by its plan."""
         if plan.march == "stack":
             self.march(stack_kernel(plan.is_simple), [*tables.field, tables.stack], target)
             return
@@ -147,11 +132,10 @@ class FrameLauncher:
     def march(
         self, kernel: Any, inputs: list[Any], target: FrameTarget, *, number: int = 0, item_rays: int = 1, work: int = 1
     ) -> None:
-        """Launch a kernel of items of `item_rays` rays. number: tells launches of a frame apart; work: steps that one
-        sample takes at most."""
-        end = target[:4]
-        how: dict[str, Any] = {"transient": len(end), "work": target.work * work * item_rays}
-        self._launches(kernel, target.threads // item_rays, [*inputs, *end], number=number, **how)
+        """Launch a kernel of items of `item_rays` rays. number: of the launch in its frame; work: most steps of one
+        sample."""
+        end, count, steps = target[:4], target.threads // item_rays, target.work * work * item_rays
+        self._launches(kernel, count, [*inputs, *end], number=number, transient=len(end), work=steps)
 
     def _scene_parts(self, boxes: Sequence[list[list[float]]], rays: int) -> list[Any]:
         """The ScenePart of each box, with arrays for as many rays; those of the view before where it has the same."""

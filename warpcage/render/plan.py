@@ -14,8 +14,8 @@ class FrameFacts(NamedTuple):
     by_tiles: bool = False  # whether rays of a tile go side by side, as on a CPU
     order: tuple[int, ...] | None = None  # of edits that cannot meet, front to back; None where they may
     is_far: bool = False  # whether the camera sees each voxel from one direction only
-    shades_fit: bool = True  # whether there is memory for the shades of all voxels
-    is_folded: bool | None = None  # whether the pose turns matter over; None: nobody has asked the device yet
+    colors_fit: bool = True  # whether there is memory for the colours of all voxels
+    is_folded: bool | None = None  # whether the pose turns matter over; None: not read from the device yet
 
 
 class PlannedEdit(NamedTuple):
@@ -30,14 +30,14 @@ class FramePlan(NamedTuple):
 
     march: Literal["edit", "parts", "stack"]  # through one edit, edits apart one after the other, or all at once
     lanes: Literal["ray", "tile"] = "ray"  # what an item of the kernel follows
-    table: Literal["rows", "shades"] = "rows"  # what samples read of the field
+    table: Literal["rows", "shaded"] = "rows"  # what samples read of the field
     edits: tuple[PlannedEdit, ...] = ()  # those that are marched by themselves, front to back
     is_simple: bool = False  # a stack without fragments and narrow gaps
 
     @property
     def is_shaded(self) -> bool:
         """Whether voxels are shaded for the view."""
-        return self.table == "shades"
+        return self.table == "shaded"
 
 
 def plan_frame(facts: FrameFacts) -> FramePlan:
@@ -50,5 +50,5 @@ def plan_frame(facts: FrameFacts) -> FramePlan:
     if facts.by_tiles:
         return FramePlan("parts", "tile", edits=edits)
     # a pose that turns matter over shows a voxel in several places, and from several directions
-    is_shaded = facts.is_far and facts.shades_fit and not facts.is_folded
-    return FramePlan("edit" if is_single else "parts", "ray", "shades" if is_shaded else "rows", edits)
+    is_shaded = facts.is_far and facts.colors_fit and not facts.is_folded
+    return FramePlan("edit" if is_single else "parts", "ray", "shaded" if is_shaded else "rows", edits)

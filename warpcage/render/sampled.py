@@ -1,4 +1,4 @@
-"""Fields of any other representation, which are functions of points and directions, and their pictures."""
+"""SampledField: any other representation as a function of points and directions, and its pictures."""
 
 from __future__ import annotations
 
@@ -13,32 +13,24 @@ from numpy.typing import ArrayLike
 from ..core.arrays import as_given, as_numbers, as_points, empty_array
 from ..core.checks import MAX_SAMPLES, checked_bounds, checked_march, checked_step, require_ordinary_side, require_type
 from ..core.devices import launch, resolve_device
-from ..core.locks import in_turn
+from ..core.threads import in_turn
 from ..errors import InputError, UseError
-from ..field.render import picture_arrays
+from ..field.render import RenderOptions, RenderTarget, picture_arrays
 from ..kernels.render import samples
 from ..view.camera import Camera, camera_struct
-from ..view.frame import (
-    PART_NAMES,
-    Frame,
-    average_frame,
-    checked_supersampling,
-    finer_camera,
-    parse_background,
-    view_background,
-)
+from ..view.frame import PART_NAMES, Frame, average_frame, finer_camera, parse_background
 
 if TYPE_CHECKING:
     from typing_extensions import Self  # of the type checker
 
-#: What a field is asked: points (n,) vec3, world units, and directions (n,) vec3 on its device. It answers colours
-#: (n, 3) and densities (n,) per world unit, as arrays of any library.
+#: Takes points (n,) vec3, world units, and directions (n,) vec3 on the field's device; returns colours (n, 3) and
+#: densities (n,) per world unit, as arrays of any library.
 SampleFunction = Callable[[Any, Any], tuple[Any, Any]]
 
-#: Steps along the diagonal of a field that does not say how long its steps are.
+#: Default number of steps along the diagonal of a field.
 DEFAULT_STEPS = 512
 
-#: Samples that a field is asked at once, but for a ray of more.
+#: Samples of one call of a field's function, but for a ray of more.
 MAX_AT_ONCE = 1 << 20
 
 
@@ -50,7 +42,8 @@ class SampledField:
     voxels.
 
     References: the samples of a picture are packed ray after ray, as in Li et al., "NerfAcc" (ICCV 2023).
-    Limitations: every step inside the bounds is asked, as nobody knows where a function is empty; no gradient passes.
+    Limitations: the function is called for every step inside the bounds, as it may be empty nowhere; it has no backward
+    pass.
 
     Example::
 
@@ -66,7 +59,7 @@ class SampledField:
         function: Called with points (n,) wp.vec3, world units, and unit directions (n,) wp.vec3 from the camera into
             the scene, Warp arrays on `device`, which other libraries read as (n, 3) without a copy. It returns colours
             (n, 3), and densities (n,) per world unit, of 0 or more, as arrays of any library. float32 on the device is
-            not copied. What it raises comes out of whatever asked.
+            not copied. What it raises passes through to the caller.
         bounds: (2, 3) lower and upper corner, world units, outside of which the field is empty.
         step: March step and step of finite differences, world units. None is 1/512 of the diagonal of the bounds.
         background: Colour behind the field, a name or (3,) in [0, 1].
@@ -159,21 +152,19 @@ class SampledField:
 
 
 def render_samples(
-    ask: Callable[[wp.array, wp.array, float], tuple[wp.array, wp.array]],
+    sample: Callable[[wp.array, wp.array, float], tuple[wp.array, wp.array]],
     field: SampledField,
     bounds: np.ndarray,
     camera: Camera,
-    how: tuple[Any, Any, Any],
-    into: dict[str, wp.array] | None = None,
+    options: RenderOptions,
+    target: RenderTarget,
 ) -> Frame:
-    """The view of a camera of what `ask` says of points, directions and a step, all in bounds (2, 3), world units; how:
-    background, step and supersampling as `Deformer.render` has them."""
-    background, step, supersampling = how
+    """The view of a camera of what `sample` returns for points, directions and a step; bounds: (2, 3) world units."""
     require_type(camera, Camera, "render needs")
-    color = field.background if background is None else view_background(background)
-    side, device, origin = checked_supersampling(supersampling or 1), field.device, field.center
+    color, side, into = options.color(field.background), options.side(1), target.arrays
+    device, origin = field.device, field.center
     diagonal = math.dist(*bounds)
-    step = checked_march(step, field.step, diagonal, math.dist(camera.center, bounds.mean(axis=0)))
+    step = checked_march(options.step, field.step, diagonal, math.dist(camera.center, bounds.mean(axis=0)))
     rays = finer_camera(camera, side)
     pinhole, count = camera_struct(rays, origin), rays.width * rays.height
     arrays = picture_arrays(count, PART_NAMES, device) if into is None or side > 1 else into
@@ -190,7 +181,7 @@ def render_samples(
         points, directions = (empty_array(total, wp.vec3, device) for _ in range(2))
         inputs = [pinhole, ray, step, wp.vec3(*origin), begins, local]
         launch(samples.place_samples, last - ray, inputs, [points, directions], device=device, work=work)
-        rgb, density = ask(points, directions, step)
+        rgb, density = sample(points, directions, step)
         inputs = [ray, step, wp.vec3(*color.tolist()), begins, local, rgb, density]
         launch(
             samples.composite_samples,
@@ -201,4 +192,6 @@ def render_samples(
             work=work,
         )
         ray = last
-    return average_frame(Frame(rays.width, rays.height, **arrays), side, into).seen_by(camera, color, background)
+    return average_frame(Frame(rays.width, rays.height, **arrays), side, into).seen_by(
+        camera, color, options.background
+    )

@@ -1,4 +1,4 @@
-"""Edits on lattices that are posed and rendered: the order in which a frame plans, finds its tables and is launched."""
+"""Edits on lattices that are posed and rendered: how a frame is planned, finds its tables and is launched."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from ..kernels.edits import trace
 from ..view.frame import Frame
 from .launch import FrameLauncher, FrameTables, frame_target
 from .plan import FrameFacts, FramePlan, plan_frame
-from .shading import CarriedShades, shade_texture_bytes
+from .shading import CarriedColors, color_texture_bytes
 from .tables import EditTables
 from .view import PosedEdits, SeenView
 
-#: Whether a pose on a CPU launches what views are likely to ask for, too: there nothing waits for the host.
+#: Whether a pose on a CPU launches what views are likely to need, too: there nothing waits for the host.
 LOOKS_AHEAD_ON_CPU = False
 
 #: Sizes of a field at which it is seen from afar.
@@ -35,8 +35,8 @@ TABLE_BYTES, WARM_MEMORY = 192, 1 / 16
 #: Lattices of fewer nodes have numbers left that say on which side of the posed cage a place is.
 MAX_LATTICE_NODES = 1 << 30
 
-#: Share of a GPU's memory that shades of a grid's nodes may take.
-MAX_SHADES = 0.25
+#: Share of a GPU's memory that colours of a grid's nodes may take.
+MAX_COLOR_SHARE = 0.25
 
 
 class PosedScene(PosedEdits):
@@ -47,12 +47,12 @@ class PosedScene(PosedEdits):
     def __init__(self, lattices: EditLattices):
         self.lattices, self.edits, self.device = lattices, lattices.edits, lattices.device
         edits, device = self.edits, self.device
-        self.tables, self.carried_shades = EditTables(len(edits), device), CarriedShades(len(edits), device)
+        self.tables, self.carried_colors = EditTables(len(edits), device), CarriedColors(len(edits), device)
         self.launcher = FrameLauncher(device)
         self.boxes: EditBoxes | None = None  # of several edits without fragments, in the pose
         self.plan = FramePlan("stack")  # of the last view
         self.seen: SeenView | None = None  # the last view, where it was of the last pose
-        self.most_shades = math.inf if device.is_cpu else MAX_SHADES * device.total_memory  # bytes
+        self.max_color_bytes = math.inf if device.is_cpu else MAX_COLOR_SHARE * device.total_memory  # bytes
 
     @property
     def array(self) -> wp.array | None:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -61,7 +61,7 @@ class PosedScene(PosedEdits):
 
     @property
     def looks_ahead(self) -> bool:
-        """Whether a pose launches what views are likely to ask for."""
+        """Whether a pose launches what views are likely to need."""
         return self.device.is_cuda or LOOKS_AHEAD_ON_CPU
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
@@ -93,12 +93,12 @@ class PosedScene(PosedEdits):
         seen = SeenView(field, field.marching.grid(), center, field.step)
         self._look_ahead(seen)
         if self.plan.is_shaded:
-            self.carried_shades.aim(center)
+            self.carried_colors.aim(center)
         self.seen = seen  # by which the first pose goes
 
     def _look_ahead(self, seen: SeenView) -> None:
-        """Launch what the next view is likely to ask for: who saw the last pose will see this one, and the device would
-        wait for the host between. A view of something else finds its own."""
+        """Launch what the next view is likely to need: most views repeat the last one in a new pose, and the device
+        would wait for the host between. Other views launch their own."""
         self.prepare(seen.grid, seen.step)
         self.plan = plan_frame(self.facts(seen))
         has_begun = self.tables.begin_cells(self.plan, seen.grid, self.lattices.marked_step)
@@ -112,11 +112,11 @@ class PosedScene(PosedEdits):
             self.tables.fill(self.lattices.posed())
             if len(self.edits) > 1 or any(self.lattices.carried):
                 self.tables.stack()
-            self.carried_shades.is_posed = False
+            self.carried_colors.is_posed = False
 
     def facts(self, view: FieldView | SeenView) -> FrameFacts:
         """What is known of a view before its tables are there."""
-        marching, shades, tables = view.field.marching, self.carried_shades, self.tables
+        marching, colors, tables = view.field.marching, self.carried_colors, self.tables
         order = None if self.boxes is None else self.boxes.front_to_back(tuple(view.center), 0.5 * view.step)
         has_fragments = any(self.lattices.carried)
         by_tiles, is_alone = marching.by_tiles, not has_fragments and (len(self.edits) == 1 or order is not None)
@@ -128,44 +128,44 @@ class PosedScene(PosedEdits):
             by_tiles=by_tiles,
             order=order,
             is_far=is_far,
-            shades_fit=is_far
+            colors_fit=is_far
             and tables.most_nodes < MAX_LATTICE_NODES
-            and shade_texture_bytes(marching.columns) <= self.most_shades,
-            is_folded=shades.is_known_folded if shades.is_posed else None,
+            and color_texture_bytes(marching.columns) <= self.max_color_bytes,
+            is_folded=colors.is_known_folded if colors.is_posed else None,
         )
 
     def _begin(self, view: FieldView) -> FrameFacts:
-        """Plan a view and aim its shades: what takes of it the pose alone."""
+        """Plan a view and find its directions: what needs no table of the pose."""
         facts = self.facts(view)
         self.plan = plan_frame(facts)
-        if self.plan.is_shaded and self.carried_shades.is_posed:
-            self.carried_shades.aim(view.center)
+        if self.plan.is_shaded and self.carried_colors.is_posed:
+            self.carried_colors.aim(view.center)
         return facts
 
     def _field_tables(self, view: FieldView) -> list[Any] | None:
-        """Launch what a view reads of the field: its rows, or their shades. None where it takes places to be found."""
+        """Launch what a view reads of the field: its rows, or their colours. None where it takes places to be found."""
         marching = view.field.marching
         if not self.plan.is_shaded:
             return [marching.rows()]
-        if not self.carried_shades.is_posed:
+        if not self.carried_colors.is_posed:
             return None
-        return [self.carried_shades.shades(view.field.grid, marching.columns, view.center, view.step)]
+        return [self.carried_colors.shaded(view.field.grid, marching.columns, view.center, view.step)]
 
     def _find_places(self, grid: Any) -> None:
         """Launch what finds where the pose takes matter."""
-        self.carried_shades.pose(self.tables.edits, [struct.cells for struct, _ in self.lattices.posed()], grid)
+        self.carried_colors.pose(self.tables.edits, [struct.cells for struct, _ in self.lattices.posed()], grid)
 
     def render(self, view: FieldView, arc_opacity: int) -> Frame:
-        # The device is at work before the host waits or allocates, and what it is asked comes behind what it is told.
+        # The device gets work before the host waits or allocates; what is read back comes behind what is launched.
         marching, lattices, tables = view.field.marching, self.lattices, self.tables
         facts = self._begin(view) if tables.edits else None  # None: where a new pose leads to is not known yet
-        if not view.is_again:
+        if not view.target.is_again:
             marching.begin()
         rows = None if facts is None else self._field_tables(view)
         target = frame_target(view, arc_opacity)
-        grid = marching.marched if view.is_again else marching.grid()
+        grid = marching.marched if view.target.is_again else marching.grid()
         self.prepare(grid, view.step)
-        if facts is None or rows is None or (self.plan.is_shaded and not self.carried_shades.is_posed):
+        if facts is None or rows is None or (self.plan.is_shaded and not self.carried_colors.is_posed):
             facts = self._begin(view)
             rows = self._field_tables(view)
         has_begun = tables.begin_cells(self.plan, grid, lattices.marked_step)
@@ -174,8 +174,8 @@ class PosedScene(PosedEdits):
             rows = self._field_tables(view)
         if has_begun:
             tables.join()
-        # asked behind all that is launched for others
-        is_folded = self.carried_shades.has_inverted_cells() if self.plan.is_shaded else facts.is_folded
+        # read behind all that is launched
+        is_folded = self.carried_colors.has_inverted_cells() if self.plan.is_shaded else facts.is_folded
         was_shaded = self.plan.is_shaded
         self.plan = plan_frame(facts._replace(general_maps=tables.general_maps, is_folded=is_folded))
         if was_shaded and not self.plan.is_shaded:
@@ -183,7 +183,7 @@ class PosedScene(PosedEdits):
         if self.looks_ahead:
             self.seen = SeenView(view.field, grid, view.center, view.step)
         self.launcher.launch_frame(self.plan, self._frame_tables(view, grid, rows), target)
-        self.carried_shades.release()
+        self.carried_colors.release()
         return finish_frame(view, target.arrays)
 
     def _frame_tables(self, view: FieldView, grid: Any, rows: Any) -> FrameTables:

@@ -13,23 +13,23 @@ from ..core.devices import HALF_TEXEL_BYTES, MAX_TEXELS, HostFlag, RecordedLaunc
 from ..field.tables import ColumnTable, whole_warps
 from ..kernels.edits.inverse import NO_CELL, gather_inverse, scatter_cells
 from ..kernels.render.shading import ViewDirectionCage, find_view_directions, keep_cage, shade_carried_rows
-from ..kernels.render.volume import SHADE_LAYERS, ShadedVolume
+from ..kernels.render.volume import COLOR_LAYERS, ShadedVolume
 from ..lattice.buffers import BufferPool
 
 #: A trilinear distance changes by at most the root of three per unit of length; rounded up.
 STEEPEST = 1.8
 
-LAYERS = int(SHADE_LAYERS)  #: of ShadedVolume
+LAYERS = int(COLOR_LAYERS)  #: of ShadedVolume
 
 
-def shade_texture_bytes(table: ColumnTable) -> float:
-    """Bytes on a GPU that shades of a field take, by the table of its links; infinite where no texture holds them."""
+def color_texture_bytes(table: ColumnTable) -> float:
+    """Bytes on a GPU that colours of a field take, by the table of its links; infinite where no texture holds them."""
     nx, ny, nz = tuple(table.columns.node_counts)
     fits = max(LAYERS * nx, ny, nz) <= MAX_TEXELS
     return LAYERS * HALF_TEXEL_BYTES * table.node_count if fits else math.inf
 
 
-class CarriedShades:
+class CarriedColors:
     """Where the poses of edits take the matter of their rest cages, and from where a camera sees it."""
 
     def __init__(self, edit_count: int, device: wp.Device):
@@ -48,10 +48,10 @@ class CarriedShades:
         self._launch = RecordedLaunches(device)
         self._laid: Any = None
         self._texture: wp.Texture3D | None = None  # kept alive for kernels, which hold its handle alone
-        self.is_posed = False  # whether `pose` was called for the pose that is to be seen; whoever poses anew unsets it
+        self.is_posed = False  # whether `pose` was called for the current pose; unset when that changes
 
     def pose(self, edits: Sequence[Any], cells: Sequence[wp.array], grid: Any) -> None:
-        """Find where matter is, once per pose, of the posed FlatEdits and the VoxelGrid as it is marched.
+        """Find where matter is, once per pose, of the posed EditData and the VoxelGrid as it is marched.
         cells: (nx-1, ny-1, nz-1) uint8 CELL_... flags of each edit's cells."""
         self.posed, self.is_posed, self._is_folded, self._aimed = [], False, None, None  # an interrupt leaves none
         self._folds.clear()
@@ -80,7 +80,7 @@ class CarriedShades:
         self.posed.append((edit, found, self._aimed_cage(number, edit, found, grid)))
 
     def _aimed_cage(self, number: int, edit: Any, places: wp.array, grid: Any) -> Any:
-        """The ViewDirectionCage of an edit, the same for all poses but for what is of one."""
+        """The ViewDirectionCage of an edit: the same object for all poses, with what differs between them."""
         cage = self._kept_cages[number]
         if cage is None:
             cage = self._kept_cages[number] = ViewDirectionCage()
@@ -99,24 +99,24 @@ class CarriedShades:
 
     @property
     def is_known_folded(self) -> bool:
-        """Whether `has_inverted_cells` has said so of the pose."""
+        """Whether `has_inverted_cells` was True for the pose."""
         return bool(self._is_folded)
 
     def has_inverted_cells(self) -> bool:
-        """Whether the pose turns matter over, or squeezes it beyond all use: it may be in several places then, and seen
-        from several directions."""
+        """Whether the pose turns matter over or squeezes it flat: it may then be in several places, and seen from
+        several directions."""
         if self._is_folded is None:
             self._is_folded = bool(self._folds.wait())
         return self._is_folded
 
     def aim(self, center: wp.vec3) -> None:
-        """Find from where a camera sees what the pose moves: what `shades` of that camera begins with.
-        `centre` is relative to the grid's origin; `shades` knows it as the same object."""
+        """Find from where a camera sees what the pose moves: what `shaded` of that camera begins with.
+        `centre` is relative to the grid's origin; `shaded` knows it as the same object."""
         if self.posed:
             self._launch(find_view_directions, sum(places.size for _, places, _ in self.posed), [self._cages, center])
         self._aimed = center
 
-    def shades(self, grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> Any:
+    def shaded(self, grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> Any:
         """The ShadedVolume of a field, of the values that its VoxelGrid has now, as a camera sees them in the pose.
         table: of the grid's links; centre: relative to the grid's origin; step: of the march, world units."""
         rows = table.nodes.shape[0]
@@ -136,12 +136,12 @@ class CarriedShades:
             laid.node_counts = table.columns.node_counts
             laid.cells = wp.vec3(*(float(n - 1) for n in laid.node_counts))
         if self._device.is_cpu:
-            laid.shades = wp.zeros(LAYERS * table.node_count, dtype=wp.vec4, device=self._device)
+            laid.colors = wp.zeros(LAYERS * table.node_count, dtype=wp.vec4, device=self._device)
         else:
-            self._laid, self._texture = laid, table.shade_texture(LAYERS)
+            self._laid, self._texture = laid, table.color_texture(LAYERS)
             laid.texture, laid.surface = self._texture.cuda_texture, self._texture.cuda_surface
         return laid
 
     def release(self) -> None:
-        """Let a frame's shades go once its march is launched. What the field does not keep waits for the GPU."""
+        """Let a frame's colours go once its march is launched. What the field does not keep waits for the GPU."""
         self._texture = None

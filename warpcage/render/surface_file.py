@@ -104,14 +104,14 @@ def load_trimesh(path: pathlib.Path) -> trimesh.Trimesh:
 
     text = _cut_obj(path) if path.suffix.lower() == ".obj" else None
     source: Any = path if text is None else io.BytesIO(text)
-    words: dict[str, Any] = {} if text is None else {"file_type": "obj", "resolver": FilePathResolver(str(path))}
+    options: dict[str, Any] = {} if text is None else {"file_type": "obj", "resolver": FilePathResolver(str(path))}
     try:
-        mesh: Any = trimesh.load(source, force="mesh", process=False, maintain_order=True, **words)
+        mesh: Any = trimesh.load(source, force="mesh", process=False, maintain_order=True, **options)
     except Exception as error:
         raise InputError(f"{path} cannot be read as a mesh, it is cut off or damaged: {error}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         if path.suffix.lower() == ".ply":
-            read_object(path)  # which tells of points without faces
+            read_object(path)  # which raises for points without faces
         raise InputError(f"{path} holds no triangles")
     visual: Any = mesh.visual
     if path.suffix.lower() in (".ply", ".off") and visual.kind in (None, "vertex"):
@@ -150,7 +150,7 @@ def _cut_obj(path: pathlib.Path) -> bytes | None:
 
 
 def _cut_faces(path: pathlib.Path, mesh: trimesh.Trimesh) -> None:
-    """Give a mesh of a PLY or OFF file its concave faces cut as those of cages are."""
+    """Cut the concave faces of a mesh of a PLY or OFF file as those of cages are."""
     is_ply = path.suffix.lower() == ".ply"
     if is_ply and _ply_element(path, "face")[0] == len(mesh.faces):
         return  # triangles
@@ -260,8 +260,8 @@ def _gltf_part(
     light = np.tile(np.asarray(metal.get("baseColorFactor", np.ones(4)), np.float64), (len(points), 1))
     look = NO_PICTURE if "KHR_materials_unlit" in material.get("extensions", {}) else HEADLIGHT
     if "COLOR_0" in attributes:
-        own, look = _shares(values_of(document, buffers, attributes["COLOR_0"])), NO_PICTURE
-        light[:, : own.shape[1]] *= own
+        factors, look = _shares(values_of(document, buffers, attributes["COLOR_0"])), NO_PICTURE
+        light[:, : factors.shape[1]] *= factors
     elif "baseColorFactor" not in metal and "baseColorTexture" not in metal:
         light[:] = (0.448, 0.448, 0.448, 1.0)  # GREY
     # colours are of light, those of pictures are not: of their powers products are the same
@@ -272,8 +272,8 @@ def _gltf_part(
     places = "" if texture is None else f"TEXCOORD_{texture.get('texCoord', 0)}"
     if texture is not None and places in attributes:
         uv = _shares(values_of(document, buffers, attributes[places]))
-        least = material.get("alphaCutoff", 0.5) if mode == "MASK" else None
-        look = pictures.setdefault((texture["index"], mode, least), len(pictures))
+        cutoff = material.get("alphaCutoff", 0.5) if mode == "MASK" else None
+        look = pictures.setdefault((texture["index"], mode, cutoff), len(pictures))
     made = plain_surface(points, faces, look=look)
     return dataclasses.replace(made, colors=colors.astype(np.float32), uv=uv.astype(np.float32))
 
@@ -284,7 +284,7 @@ def _shares(values: np.ndarray) -> np.ndarray:
 
 
 def _gltf_picture(
-    path: pathlib.Path, document: dict, buffers: list[bytes], number: int, mode: str, least: float | None
+    path: pathlib.Path, document: dict, buffers: list[bytes], number: int, mode: str, cutoff: float | None
 ) -> np.ndarray:
     """The pixels (h, w, 4) uint8 of a texture; their opacity as the material takes it."""
     texture = document["textures"][number]
@@ -301,6 +301,6 @@ def _gltf_picture(
     pixels = rgba_pixels(data, f"{path}, picture {source}").copy()
     if mode == "OPAQUE":
         pixels[..., 3] = 255
-    elif least is not None:
-        pixels[..., 3] = np.where(pixels[..., 3] >= 255.0 * least, 255, 0)
+    elif cutoff is not None:
+        pixels[..., 3] = np.where(pixels[..., 3] >= 255.0 * cutoff, 255, 0)
     return pixels

@@ -15,23 +15,15 @@ from ..core.arrays import as_host_points, local_points
 from ..core.checks import checked_direction, real_array, require_ordinary_side, require_type
 from ..core.devices import HeldOnDevice, launch, resolve_device
 from ..core.files import PathLike
-from ..core.locks import in_turn
 from ..core.names import counted
+from ..core.threads import in_turn
 from ..errors import InputError
-from ..field.render import picture_arrays
+from ..field.render import NEW_TARGET, RenderOptions, RenderTarget, picture_arrays
 from ..kernels.render.surface import SurfaceColors, cast_surface_rays
 from ..splats.io import is_splat_file
 from ..splats.splat_field import AnyField, field_size, load_field
 from ..view.camera import Camera, camera_struct
-from ..view.frame import (
-    PART_NAMES,
-    Frame,
-    average_frame,
-    checked_supersampling,
-    finer_camera,
-    parse_background,
-    view_background,
-)
+from ..view.frame import PART_NAMES, Frame, average_frame, checked_supersampling, finer_camera, parse_background
 from ..view.pictures import PictureCuts, to_uint8
 from .surface_file import GREY, HEADLIGHT, NO_PICTURE, SURFACE_ENDINGS, Surface, plain_surface, read_surface
 
@@ -46,7 +38,7 @@ class SurfaceMesh(HeldOnDevice):
     """A triangle mesh with its colours, as an object of a `Stage`; `Deformer(mesh, cage)` poses its vertices by a cage.
 
     Colours are shown as they are, without light: what warpcage exports, and a scan, has the light of its place in them.
-    Only where a mesh has one colour for all, or none, a headlight at the camera shades it, so that its shape is seen.
+    Only a mesh with one colour for all, or none, is shaded, by a headlight at the camera, so that its shape is seen.
     Pictures on it are looked up between four texels, and go on beyond their edges; their opacity counts.
 
     Limitations: materials but for base colours (metal, roughness, normal maps, transforms of textures) are left out.
@@ -65,7 +57,7 @@ class SurfaceMesh(HeldOnDevice):
         texture: (h, w, 3) or (h, w, 4) uint8, or floats in [0, 1]; colours are multiplied by it.
         background: Colour behind the mesh, a name or (3,) in [0, 1].
         up: (3,) what is up in its world, of any length but zero.
-        supersampling: Rays along each side of a pixel where nobody says otherwise.
+        supersampling: Rays along each side of a pixel; `render` may choose another number.
         device: Warp device. None is CUDA where there is one.
 
     Raises:
@@ -113,7 +105,7 @@ class SurfaceMesh(HeldOnDevice):
         self.supersampling = checked_supersampling(supersampling)
         self.device: wp.Device = resolve_device(device)
         self.center: np.ndarray = self.bounds.mean(axis=0)
-        self._colors: Any = None  # on the device, when the first picture asks for them
+        self._colors: Any = None  # on the device, from the first picture on
         self._mesh: wp.Mesh | None = None
         return self
 
@@ -200,9 +192,9 @@ class SurfaceMesh(HeldOnDevice):
 
     def _chosen(self, vertices: np.ndarray, faces: np.ndarray, rows: np.ndarray, parts: np.ndarray) -> SurfaceMesh:
         """A mesh of other vertices and faces, which have the colours of those of these numbers here."""
-        own = self.surface
-        colors = {"colors": own.colors[rows], "uv": own.uv[rows], "face_pictures": own.face_pictures[parts]}
-        return self._of(dataclasses.replace(own, vertices=vertices, faces=faces, **colors), self)
+        here = self.surface
+        colors = {"colors": here.colors[rows], "uv": here.uv[rows], "face_pictures": here.face_pictures[parts]}
+        return self._of(dataclasses.replace(here, vertices=vertices, faces=faces, **colors), self)
 
     def render(
         self, camera: Camera, *, background: str | ArrayLike | None = None, supersampling: int | None = None
@@ -220,20 +212,13 @@ class SurfaceMesh(HeldOnDevice):
         Raises:
             ValueError: For a background that is not known, or supersampling out of range.
         """
-        return self._render(camera, background, supersampling)
+        return self._render(camera, RenderOptions(background, supersampling))
 
     @in_turn
-    def _render(
-        self,
-        camera: Camera,
-        background: str | ArrayLike | None,
-        supersampling: int | None,
-        into: dict[str, wp.array] | None = None,
-    ) -> Frame:
-        """See `render`; into: arrays (h * w,) to fill, by the names of a Frame's parts."""
+    def _render(self, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
+        """See `render`."""
         require_type(camera, Camera, "render needs")
-        color = self.background if background is None else view_background(background)
-        side = checked_supersampling(self.supersampling if supersampling is None else supersampling)
+        color, side, into = options.color(self.background), options.side(self.supersampling), target.arrays
         rays = finer_camera(camera, side)
         count, (low, high) = rays.width * rays.height, self.bounds
         arrays = picture_arrays(count, PART_NAMES, self.device) if into is None or side > 1 else into
@@ -246,7 +231,7 @@ class SurfaceMesh(HeldOnDevice):
             cast_surface_rays, count, [*inputs, wp.vec3(*color.tolist())], outputs, device=self.device, work=RAY_WORK
         )
         frame = average_frame(Frame(rays.width, rays.height, **arrays), side, into)
-        return frame.seen_by(camera, color, background)
+        return frame.seen_by(camera, color, options.background)
 
     def _traced(self) -> wp.Mesh:
         """What rays meet; its colours are then on the device too."""
@@ -320,10 +305,10 @@ AnyObject: TypeAlias = AnyField | SurfaceMesh
 
 
 def load_object(path: PathLike, *, device: wp.DeviceLike = None) -> AnyObject:
-    """Read what a stage may hold: a field of voxels or of splats, or a mesh, which the file tells."""
+    """Read a field of voxels or of splats, or a mesh, by what the file holds."""
     return SurfaceMesh.load(path, device=device) if is_mesh_file(path) else load_field(path, device=device)
 
 
 def object_size(scene_object: AnyObject) -> str:
-    """How large a field or mesh is, in words such as "12000 triangles"."""
+    """The size of a field or mesh as text, such as "12000 triangles"."""
     return counted(len(scene_object), "triangle") if isinstance(scene_object, SurfaceMesh) else field_size(scene_object)

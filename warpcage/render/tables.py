@@ -13,16 +13,16 @@ from ..core.arrays import array_view, empty_array, struct_array
 from ..core.devices import RecordedLaunches, lane_count
 from ..edits.falloff import has_sides
 from ..kernels.edits.cell_tables import join_cell_tables, join_nodes
-from ..kernels.edits.fine_cells import FINE_COUNT, FINE_SIDE, FINE_WORDS, mark_fine_cells, spread_fine_cells
-from ..kernels.edits.nodes import CELL_WORDS, expand_map_cells
+from ..kernels.edits.fine_cells import FINE_COUNT, FINE_SIDE, FINE_UINTS, mark_fine_cells, spread_fine_cells
+from ..kernels.edits.nodes import CELL_VEC4S, expand_map_cells
 from ..kernels.edits.structs import CELL_OUTSIDE, EditData
 from ..lattice.buffers import Buffer, BufferPool, SideStream
 from .plan import FramePlan
 
-#: Cells that are less than so many voxels wide are not told apart: fine cells would be smaller than what they skip.
+#: Cells narrower than this, in voxels, are not divided: fine cells would be smaller than what they skip.
 MIN_VOXELS = 2.0
 
-#: As many factors of two.
+#: FINE_SIDE is two to the power of this.
 FINE_BITS = int(FINE_SIDE).bit_length() - 1
 
 #: Lattices of more nodes have more fine cells than an index counts.
@@ -36,41 +36,42 @@ class FineCells:
         device = side.device
         self._device, self._lanes = device, lane_count(device)
         pool = BufferPool(device)
-        self._words = [pool.buffer(wp.uint32) for _ in range(edit_count)]
+        self._fine_looks = [pool.buffer(wp.uint32) for _ in range(edit_count)]
         self._looks = [pool.buffer(wp.uint64) for _ in range(edit_count)]
         self._side, self._launch = side, RecordedLaunches(device)
 
     def begin(self, edits: Sequence[Any], grid: Any, step: float) -> None:
-        """Let posed FlatEdits, whose cells are marked, tell their fine cells apart, beside what comes until the side
-        stream joins. step: the longest of a march, world units."""
+        """Divide the marked cells of posed EditData into fine cells, on the side stream.
+        step: the longest of a march, world units."""
         width = max(grid.voxel_size)
-        told = [edit.spacing >= MIN_VOXELS * width and edit.look.size <= MAX_NODES for edit in edits]
         held = [
-            (edit, words.take(int(FINE_WORDS) * edit.look.size), looks.take(edit.look.size))
-            for edit, words, looks, is_told in zip(edits, self._words, self._looks, told, strict=True)
-            if is_told
+            (edit, fine_looks.take(int(FINE_UINTS) * edit.look.size), looks.take(edit.look.size))
+            for edit, fine_looks, looks in zip(edits, self._fine_looks, self._looks, strict=True)
+            if edit.spacing >= MIN_VOXELS * width and edit.look.size <= MAX_NODES
         ]
-        self._side.mark()  # behind which memory is there, and the tables of cells
+        self._side.mark()  # behind the allocations, and the tables of cells
         stream = self._side.behind_mark()
-        for number, (edit, words, looks) in enumerate(held):
-            self._mark(number, edit, grid, step, words, looks, stream)
+        for number, (edit, fine_looks, looks) in enumerate(held):
+            self._mark(edit, grid, step, fine_looks, looks, {"number": number, "stream": stream})
 
     def _mark(
-        self, number: int, edit: Any, grid: Any, step: float, words: wp.array, looks: wp.array, stream: wp.Stream | None
+        self, edit: Any, grid: Any, step: float, fine_looks: wp.array, looks: wp.array, options: dict[str, Any]
     ) -> None:
+        """Launch the kernels of one edit; options: of the launches."""
         nodes = looks.size
-        fine_look = array_view(words, wp.uint8, int(FINE_COUNT) * nodes)
+        fine_look = array_view(fine_looks, wp.uint8, int(FINE_COUNT) * nodes)
         groups = -(-nodes // max(1, self._lanes // 4))  # an octet of cells for a group of lanes
-        inputs, how = [grid, edit, step], {"number": number, "stream": stream}
         work = int(FINE_COUNT) / self._lanes
-        self._launch(mark_fine_cells, self._lanes * groups, inputs, [looks, fine_look], work=work, **how)
+        self._launch(
+            mark_fine_cells, self._lanes * groups, [grid, edit, step], [looks, fine_look], work=work, **options
+        )
         whole_groups = -(-nodes // self._lanes) * self._lanes
-        self._launch(spread_fine_cells, whole_groups, [edit, looks], [words], **how)
-        tell_fine_cells(edit, FINE_BITS, fine_look)
+        self._launch(spread_fine_cells, whole_groups, [edit, looks], [fine_looks], **options)
+        set_fine_cells(edit, FINE_BITS, fine_look)
 
 
-def tell_fine_cells(edit: Any, bits: int, fine_look: wp.array) -> None:
-    """Let a EditData tell fine cells apart, 2^bits along each side of a cell; fine_look: (8^bits * nodes,) uint8."""
+def set_fine_cells(edit: Any, bits: int, fine_look: wp.array) -> None:
+    """Set the fine cells of an EditData, 2^bits along each side of a cell; fine_look: (8^bits * nodes,) uint8."""
     edit.fine_bits, edit.fine_look, side = bits, fine_look, 1 << bits
     edit.last_fine = wp.vec3i(*(side * (count - 1) - 1 for count in edit.node_counts))
     edit.fine_width, edit.fine_size = 1.0 / side, edit.spacing / side
@@ -79,14 +80,14 @@ def tell_fine_cells(edit: Any, bits: int, fine_look: wp.array) -> None:
 
 def edit_data(edit: Any, look: Buffer, nodes: Buffer) -> Any:
     """The EditData of a posed LatticeEdit, perhaps without the sides of narrow gaps, its arrays still to be filled.
-    look: of uint8, for the table of cells; nodes: of vec4. `tell_sides` and `join_tables` come after."""
+    look: of uint8, for the table of cells; nodes: of vec4. `set_sides` and `join_tables` come after."""
     node_count = edit.deformed.distance.size
     flat = EditData()
     flat.lower, flat.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
     flat.spacing = 1.0 / edit.deformed.inverse_spacing
     flat.node_counts = wp.vec3i(*edit.deformed.distance.shape)
     flat.look, flat.nodes = look.take(node_count), nodes.take(node_count)
-    tell_fine_cells(flat, 0, flat.look)
+    set_fine_cells(flat, 0, flat.look)
     flat.rest = edit.rest
     flat.by_nodes = int(not edit.removes)  # until there are polynomials
     flat.tolerance, flat.slack = edit.tolerance, edit.slack
@@ -96,15 +97,15 @@ def edit_data(edit: Any, look: Buffer, nodes: Buffer) -> Any:
     return flat
 
 
-def tell_sides(flat: Any, edit: Any) -> None:
-    """Let a EditData have the sides of narrow gaps of its posed LatticeEdit."""
+def set_sides(flat: Any, edit: Any) -> None:
+    """Set the sides of narrow gaps of an EditData, from its posed LatticeEdit."""
     flat.has_sides = int(has_sides(edit.deformed))
     if flat.has_sides:
         flat.side_index, flat.sides = edit.deformed.side_index, edit.deformed.sides
 
 
 def join_tables(flat: Any, edit: Any, skip: wp.array, launch: Callable[..., None]) -> None:
-    """Launch what fills the arrays of a EditData, of a posed LatticeEdit, by RecordedLaunches.
+    """Launch what fills the arrays of an EditData, of a posed LatticeEdit, by RecordedLaunches.
     skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything."""
     count = flat.nodes.size
     launch(join_cell_tables, count, [edit.cells, skip, flat.node_counts], [flat.look])
@@ -113,7 +114,7 @@ def join_tables(flat: Any, edit: Any, skip: wp.array, launch: Callable[..., None
 
 
 def lattice_box(flat: Any) -> list[list[float]]:
-    """Lower and upper corner, (3,) each, of a EditData's lattice over its posed cage, relative to the edits' origin."""
+    """Lower and upper corner, (3,) each, of an EditData's lattice, relative to the edits' origin."""
     lower, counts, spacing = tuple(flat.lower), tuple(flat.node_counts), 1.0 / flat.inverse_spacing
     return [list(lower), [low + (count - 1) * spacing for low, count in zip(lower, counts, strict=True)]]
 
@@ -129,26 +130,26 @@ class MapPolynomials:
     """The map of each cell of posed lattices as a polynomial."""
 
     def __init__(self, edit_count: int, device: wp.Device):
-        self._most_bytes = math.inf if device.is_cpu else MAX_POLYNOMIALS * device.total_memory
+        self._max_bytes = math.inf if device.is_cpu else MAX_POLYNOMIALS * device.total_memory
         pool = BufferPool(device)
         self._polynomials = [pool.buffer(wp.vec4) for _ in range(edit_count)]
         self._launch = RecordedLaunches(device)
 
     def expand(self, edits: Sequence[Any]) -> None:
-        """Give posed FlatEdits, whose cells are marked, their `polynomials`, where they map anything and there is
+        """Give posed EditData, whose cells are marked, their `polynomials`, where they map anything and there is
         memory."""
         for number, (edit, buffer) in enumerate(zip(edits, self._polynomials, strict=True)):
-            words = int(CELL_WORDS) * edit.look.size
-            takes = wp.types.type_size_in_bytes(wp.vec4) * words
-            if not edit.removes and words < MAX_ENTRIES and takes <= self._most_bytes:
-                inputs, polynomials = [edit.nodes, edit.look, edit.node_counts], buffer.take(words)
+            count = int(CELL_VEC4S) * edit.look.size
+            size = wp.types.type_size_in_bytes(wp.vec4) * count
+            if not edit.removes and count < MAX_ENTRIES and size <= self._max_bytes:
+                inputs, polynomials = [edit.nodes, edit.look, edit.node_counts], buffer.take(count)
                 self._launch(expand_map_cells, edit.look.size, inputs, [polynomials], number=number)
                 edit.polynomials, edit.by_nodes = polynomials, 0
 
 
 def needs_general_map(edit: Any) -> bool:
-    """Whether a EditData has corner values for each side of narrow gaps, or no polynomials: the faster march knows
-    polynomials alone."""
+    """Whether an EditData has corner values for each side of narrow gaps, or no polynomials: the faster march takes
+    polynomials only."""
     return bool(edit.has_sides or edit.by_nodes)
 
 
@@ -184,13 +185,13 @@ class EditTables:
             self.lay_out(posed)
         laid, self._laid = self._laid, []
         for number, ((edit, skip), (_, data)) in enumerate(zip(posed, laid, strict=True)):
-            tell_sides(data, edit)
+            set_sides(data, edit)
             join_tables(data, edit, skip, functools.partial(self._join, number=number))
         self.lattice_boxes = [lattice_box(data) for _, data in laid]
         self.has_gaps = any(data.has_sides for _, data in laid)
         self.most_nodes = max(data.nodes.size for _, data in laid)
         self.edits = [data for _, data in laid]
-        self._tell_maps()
+        self._set_general_maps()
 
     def stack(self) -> wp.array:
         """(edits,) EditData, as the kernel for several edits takes them."""
@@ -198,12 +199,12 @@ class EditTables:
             self._stack = struct_array(self.edits, EditData, self._side.device)
         return self._stack
 
-    def _tell_maps(self) -> None:
+    def _set_general_maps(self) -> None:
         self.general_maps = tuple([needs_general_map(edit) for edit in self.edits])
 
     def begin_cells(self, plan: FramePlan, grid: Any, step: float) -> bool:
-        """Launch the tables of fine cells and the polynomials of cells, where the march knows them. Returns whether
-        they are new: they are there behind `join`. step: the longest of a march, world units."""
+        """Launch the tables of fine cells and the polynomials of cells, where the march reads them. Returns whether
+        they are new: they are ready after `join`. step: the longest of a march, world units."""
         if self._has_cells or plan.lanes == "tile" or not plan.edits:
             return False
         self._fine.begin(self.edits, grid, step)
@@ -214,4 +215,4 @@ class EditTables:
         """Let what follows wait for the tables that `begin_cells` launched."""
         self._side.join()
         self._has_cells = True
-        self._tell_maps()
+        self._set_general_maps()

@@ -1,4 +1,4 @@
-"""In which order a GPU follows the tiles of pictures, so that it is busy until the last one ends."""
+"""The order of tiles of a picture on a GPU that keeps it busy until the last one ends."""
 
 from __future__ import annotations
 

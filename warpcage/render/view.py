@@ -1,4 +1,4 @@
-"""What everything that renders views of an edited scene offers, and what poses remember of a view."""
+"""The interface of posed edits that render views, and what a pose remembers of a view."""
 
 import abc
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from ..view.frame import Frame
 class PosedEdits(HeldOnDevice, abc.ABC):
     """Edits on a device, as kernels take them."""
 
-    map_kernel: Callable[[], Any]  # what declares the kernel that maps points; it takes `array`
+    map_kernel: Callable[[], Any]  # declares the kernel that maps points by `array`
     array: wp.array | None  # (edits,) structs, once the edits are posed
     sample_work = 1  # steps that one sample takes at most, as `core.devices.launch` has them
 
@@ -37,7 +37,7 @@ class PosedEdits(HeldOnDevice, abc.ABC):
 
 
 class SeenView(NamedTuple):
-    """What the tables of a pose take of the views of it."""
+    """What the tables of a pose depend on in a view."""
 
     field: VoxelField
     grid: Any  # its VoxelGrid as it was marched
@@ -51,7 +51,7 @@ def cage_span(cage: Cage | None) -> float:
 
 
 def require_short_march(spans: Sequence[float], step: float) -> None:
-    """Refuse posed cages, of these spans, through which a march of this step, both world units, would take all day."""
+    """Refuse posed cages of these spans that need too many steps of this length, both world units."""
     for index, size in enumerate(spans):
         if size > MAX_SAMPLES * step:
             raise InputError(

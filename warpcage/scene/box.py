@@ -1,4 +1,4 @@
-"""Where the object of a scene is: what its cameras look at, and the box around the matter there."""
+"""Where the object of a scene is: the places that cameras look at, and the box around the matter there."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PARALLEL_DISTANCE = 4.0
 #: Optical axes whose equations are conditioned worse than this are taken to be parallel.
 MAX_CONDITION = 1e6
 
-#: Seed of what is drawn: pairs of optical axes whose nearest points are tried, and points that are asked who sees them.
+#: Seed of what is drawn: pairs of optical axes whose nearest points are tried, and points whose visibility is counted.
 SEED, PAIRS, MAX_POINTS = 0, 100, 8000
 
 #: Steps of iteratively reweighted least squares, which end where the point moves by less than this share of its
@@ -60,7 +60,7 @@ ROOM = 1.0
 #: the box, or nearer to it than this share of its sides; it grows and shrinks by such steps.
 SIDE_SHARE, INSIDE_SHARE, CLEAR, STEP = 0.5, 0.02, 1.05, 1.05
 
-#: What is said of boxes that silhouettes shrank.
+#: The reason of boxes that silhouettes shrank.
 OUTLINED = "within the object's outlines in the pictures"
 
 #: Where cameras look at nothing in common, the box's half side over the distance of most of them from the middle one.
@@ -92,14 +92,14 @@ class FoundBox:
 
     bounds: np.ndarray  # (2, 3) float64, lower and upper corner of its box, world units
     looks: tuple[Look, ...]  # what cameras look at, the place with most of them first
-    reason: str  # why the box is this one, a line for people
+    reason: str  # one line on where it comes from
 
 
 def find_box(
     cameras: Sequence[Camera], points: np.ndarray | None = None, silhouettes: Hull | None = None, *, room: float = ROOM
 ) -> FoundBox:
     """The box around what cameras look at, within silhouettes if given, or else among points (n, 3); `room`: a factor.
-    Not around the cameras, unless they look at nothing in common. ValueError where nothing tells its size."""
+    Around the cameras where they look at nothing in common. ValueError where its size cannot be determined."""
     # Where: a robust mean of where the axes meet, as cameras that look away, or are near what they show, must not move
     # it. What: points in the middle of most of the pictures that look there; that others hide some only lowers a share.
     looks = find_looks(cameras)
@@ -297,7 +297,7 @@ def _without_cameras(box: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def _reason(cameras: Sequence[Camera], looks: Sequence[Look], counts: Sequence[int]) -> str:
-    """Why a box is where it is, in words."""
+    """Why a box is where it is."""
     numbers = [len(look.cameras) for look in looks]
     looking = agreed(sum(numbers), "looks", "look")
     who = f"{' and '.join(map(str, numbers))} of {counted(len(cameras), 'camera')} {looking} at"
@@ -306,7 +306,7 @@ def _reason(cameras: Sequence[Camera], looks: Sequence[Look], counts: Sequence[i
         several += " of which no picture shows two: several objects, or cameras that fell apart"
     if any(counts):
         return f"around {counted(sum(counts), 'point')} that {who}{several}"
-    return f"around what {who}, whose size no points tell{several}"
+    return f"around what {who}, whose size no points show{several}"
 
 
 def _shown(camera: Camera, looks: Sequence[Look]) -> int:
@@ -355,7 +355,7 @@ def _scaled(box: np.ndarray, factor: float | np.ndarray) -> np.ndarray:
 def _require_size(box: np.ndarray) -> np.ndarray:
     if not (np.isfinite(box).all() and (box[1] > box[0]).all()):
         raise InputError(
-            "the cameras do not tell the size of what they look at: check focal lengths and positions, or "
+            "the cameras do not determine the size of what they look at: check focal lengths and positions, or "
             "give the bounds of what should be fitted"
         )
     return box

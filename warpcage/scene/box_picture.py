@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -38,14 +39,14 @@ def draw_box(cameras: Sequence[Camera], points: np.ndarray | None, found: FoundB
     size = (1.0 + 2.0 * BEYOND) * float((high - low).max())
     corner = (low + high - size) / 2
     places = np.zeros((0, 3)) if points is None else points
-    shades = np.full((len(places), 3), POINT)
+    point_colors = np.full((len(places), 3), POINT)
     colors = [ALONE] * len(cameras)
     for look, color in zip(found.looks, LOOKS, strict=False):
         looking = [cameras[index] for index in look.cameras]
-        shades[central_points(looking, look.point, places)] = CENTRAL
+        point_colors[central_points(looking, look.point, places)] = CENTRAL
         for index in look.cameras:
             colors[index] = color
-    order = np.argsort(-shades[:, 0], kind="stable")  # dark ones over light ones
+    order = np.argsort(-point_colors[:, 0], kind="stable")  # dark ones over light ones
     views = []
     for right, up in VIEWS:
 
@@ -54,7 +55,7 @@ def draw_box(cameras: Sequence[Camera], points: np.ndarray | None, found: FoundB
             return np.stack([across[..., 0], 1.0 - across[..., 1]], axis=-1) * SIDE * FINER
 
         pixels = np.full((SIDE * FINER, SIDE * FINER, 3), 255, np.uint8)
-        _draw_points(pixels, pixel(places[order]), shades[order])
+        _draw_points(pixels, pixel(places[order]), point_colors[order])
         view = Image.fromarray(pixels)
         draw = ImageDraw.Draw(view)
         for camera, center, color in zip(cameras, centers, colors, strict=True):
@@ -72,32 +73,41 @@ def draw_box(cameras: Sequence[Camera], points: np.ndarray | None, found: FoundB
         name = ImageFont.load_default(size=TEXT * FINER)
         draw.text((4 * FINER, 2 * FINER), f"{'xyz'[right]} right, {'xyz'[up]} up", fill=(90, 90, 90), font=name)
         views.append(view.resize((SIDE, SIDE), Image.Resampling.BOX))
-    width = len(VIEWS) * SIDE + (len(VIEWS) + 1) * GAP
-    font = ImageFont.load_default(size=TEXT)
+    return captioned(views, [f"box: {box_text(found.bounds)}, {found.reason}"], 235)
+
+
+def captioned(views: Sequence[Any], lines: Sequence[str], ground: int) -> np.ndarray:
+    """PIL images of one height beside each other over lines of text, on a grey of 0 to 255, as (h, w, 3) float32."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    font, height = ImageFont.load_default(size=TEXT), views[0].height
+    width = GAP + sum(view.width + GAP for view in views)
     letters = int((width - 2 * GAP) / font.getlength("n"))
-    lines = textwrap.wrap(f"box: {box_text(found.bounds)}, {found.reason}", letters)
-    sheet = Image.new("RGB", (width, SIDE + 3 * GAP + round(1.4 * TEXT * len(lines))), (235, 235, 235))
-    for index, view in enumerate(views):
-        sheet.paste(view, (GAP + index * (SIDE + GAP), GAP))
-    for row, line in enumerate(lines):
-        place = (GAP, SIDE + 2 * GAP + round(1.4 * TEXT * row))
-        ImageDraw.Draw(sheet).text(place, line, fill=(30, 30, 30), font=font)
+    rows = [row for line in lines for row in textwrap.wrap(line, letters)]
+    sheet = Image.new("RGB", (width, height + 3 * GAP + round(1.4 * TEXT * len(rows))), (ground, ground, ground))
+    left = GAP
+    for view in views:
+        sheet.paste(view, (left, GAP))
+        left += view.width + GAP
+    for number, row in enumerate(rows):
+        place = (GAP, height + 2 * GAP + round(1.4 * TEXT * number))
+        ImageDraw.Draw(sheet).text(place, row, fill=(30, 30, 30), font=font)
     return np.asarray(sheet, np.float32) / 255.0
 
 
 def box_text(bounds: np.ndarray) -> str:
-    """A box (2, 3) in words: its sides and its middle."""
+    """The sides and the middle of a box (2, 3) as text."""
     sides, middle = np.ptp(bounds, axis=0), bounds.mean(axis=0)
     digits = max(0, 2 - int(np.floor(np.log10(sides.max()))))
     numbers = (", ".join(f"{value:.{digits}f}" for value in middle + 0.0), " x ".join(f"{s:.{digits}f}" for s in sides))
     return f"{numbers[1]} about ({numbers[0]})"
 
 
-def _draw_points(pixels: np.ndarray, places: np.ndarray, shades: np.ndarray) -> None:
+def _draw_points(pixels: np.ndarray, places: np.ndarray, point_colors: np.ndarray) -> None:
     """Squares of a pixel of the view at places (n, 2), those outside left out."""
     corners = np.floor(places).astype(np.int64)
     for down in range(FINER):
         for right in range(FINER):
             x, y = (corners + [right, down]).T
             seen = (x >= 0) & (y >= 0) & (x < pixels.shape[1]) & (y < pixels.shape[0])
-            pixels[y[seen], x[seen]] = shades[seen]
+            pixels[y[seen], x[seen]] = point_colors[seen]

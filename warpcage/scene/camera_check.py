@@ -1,4 +1,4 @@
-"""Whether cameras fit to pictures: how far matches agree with them, for `capture`, and a look at any scene's own."""
+"""Whether cameras fit their pictures: how far feature matches agree with them, for `capture` and for any scene."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ..core.names import counted
-from ..core.reports import report_progress
+from ..core.reports import Progress, report_progress, reports_progress
 from ..core.threads import cpu_threads
 from ..view.camera import Camera
 from ..view.pictures import shrink
@@ -18,7 +18,7 @@ from .box import axes_meeting, find_looks
 from .coverage import picture_counts
 from .scene import Scene
 
-#: Fewest pictures of a group that is told apart.
+#: Fewest pictures of a group.
 MIN_GROUP = 3
 
 #: Cameras lie at least so far apart, as a share of the distance to what they see.
@@ -39,7 +39,7 @@ MAX_NAMED = 4
 
 @dataclasses.dataclass(frozen=True)
 class Agreement:
-    """What matches say of cameras; a match agrees where the rays of its two features meet in front of both cameras."""
+    """How far matches agree with cameras: a match does where the two rays meet in front of both cameras."""
 
     pairs: np.ndarray  # (p, 2) int64, pictures that have a camera and matches with each other
     counts: np.ndarray  # (p,) int64, matches of each pair
@@ -84,7 +84,7 @@ def agreement_of(
 
 def rays_meet(first: np.ndarray, second: np.ndarray, poses: np.ndarray, limits: np.ndarray) -> np.ndarray:
     """Which matches, slopes (n, 2) in two cameras of poses (2, 4, 4), show a point in front of both: (n,) bool.
-    limits: (2,) slopes by which each ray may miss it. Rays so nearly parallel that they do not tell a depth pass."""
+    limits: (2,) slopes by which each ray may miss it. Rays too parallel to give a depth pass."""
     u, v = (
         np.pad(part, ((0, 0), (0, 1)), constant_values=1.0) @ pose[:3, :3].T
         for part, pose in zip((first, second), poses, strict=True)
@@ -177,17 +177,18 @@ CHANCE = 0.15
 #: Places belong together where more than this share of the cameras show two of them.
 BOTH_SHARE = 0.25
 
-#: What a check says that it does.
-WORDS = "compare pictures"
+#: The message of its progress.
+MESSAGE = "compare pictures"
 
 Matches = dict[tuple[int, int], np.ndarray]
 
 
-def camera_doubt(scene: Scene) -> str | None:
-    """What is doubtful about the cameras of a scene, one line with what to do; None where nothing is.
+@reports_progress
+def camera_doubt(scene: Scene, *, progress: bool | Progress = False) -> str | None:
+    """One line on what is doubtful about the cameras of a scene and what to do; None where nothing is.
     It takes some seconds, whatever the number of pictures; pictures of few pixels are judged by their cameras alone."""
     numbers = np.unique(np.linspace(0, len(scene) - 1, min(len(scene), MAX_PICTURES)).round().astype(int))
-    found = matched_agreement(scene, numbers.tolist())
+    found = matched_agreement(scene, numbers.tolist(), progress)
     lines = (
         _one_place(scene),
         None if found is None else _disagreement(scene, numbers, found),
@@ -196,7 +197,7 @@ def camera_doubt(scene: Scene) -> str | None:
     return next((line for line in lines if line is not None), None)
 
 
-def matched_agreement(scene: Scene, numbers: Sequence[int]) -> Agreement | None:
+def matched_agreement(scene: Scene, numbers: Sequence[int], progress: bool | Progress = False) -> Agreement | None:
     """How far matches of some of a scene's pictures agree with their cameras, counted as `numbers` has them; None where
     too few are found to say."""
     cameras = [scene.cameras[number] for number in numbers]
@@ -208,7 +209,7 @@ def matched_agreement(scene: Scene, numbers: Sequence[int]) -> Agreement | None:
         try:
             for each in pool.map(lambda number: _features(scene, number), numbers):
                 features.append(each)
-                report_progress(len(features), len(numbers), WORDS)
+                report_progress(progress, len(features), len(numbers), MESSAGE)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
@@ -217,7 +218,7 @@ def matched_agreement(scene: Scene, numbers: Sequence[int]) -> Agreement | None:
         (places / factor - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
         for (places, _, factor), camera in zip(features, cameras, strict=True)
     ]
-    matches = _verified(slopes, [each[1] for each in features], focals)
+    matches = _verified(slopes, [each[1] for each in features], focals, progress)
     if sum(map(len, matches.values())) < ENOUGH_MATCHES:
         return None
     poses = np.stack([camera.camera_to_world for camera in cameras])
@@ -287,19 +288,21 @@ def patches(grey: np.ndarray, places: np.ndarray) -> np.ndarray:
     return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-6)
 
 
-def _verified(slopes: list[np.ndarray], descriptors: list[np.ndarray], focals: np.ndarray) -> Matches:
+def _verified(
+    slopes: list[np.ndarray], descriptors: list[np.ndarray], focals: np.ndarray, progress: bool | Progress
+) -> Matches:
     """The (m, 2) features that match in pairs of pictures, as a geometry of these two alone explains."""
     count = len(slopes)
     alike = np.zeros((count, count), np.int64)
     for b in range(count):
-        report_progress(b, count, WORDS)
+        report_progress(progress, b, count, MESSAGE)
         for a in range(b):
             alike[a, b] = alike[b, a] = len(_matches(descriptors[a][:FEW], descriptors[b][:FEW]))
     best = np.argsort(-alike, axis=1, kind="stable")[:, :MAX_ALIKE]
     chosen = {(min(a, int(b)), max(a, int(b))) for a in range(count) for b in best[a] if a != b}
     random, found = np.random.default_rng(0), {}
     for number, (a, b) in enumerate(sorted(chosen)):
-        report_progress(number, len(chosen), WORDS)
+        report_progress(progress, number, len(chosen), MESSAGE)
         rows = _matches(descriptors[a], descriptors[b])
         if len(rows) >= MIN_MATCHES:
             limit = PIXELS * 0.5 * (1.0 / focals[a] + 1.0 / focals[b])

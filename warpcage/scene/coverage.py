@@ -1,10 +1,9 @@
-"""What the cameras of a capture saw: from which sides, at which heights, in how many pictures; and a map of it."""
+"""What the cameras of a capture cover: from which sides, at which heights, in how many pictures; and a map of it."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.arrays import box_corners
-from ..core.names import MOVES
 from ..view.camera import Camera
-from ..view.camera_path import MovingCamera, turned
+from .box_picture import TEXT, captioned
 
 #: A direction around the object is covered where a camera looks from within this angle of it, degrees.
 COVERED_DEGREES = 20.0
@@ -28,14 +26,14 @@ LARGE_GAP = 60.0
 #: A camera may go as far from the object as those within so many degrees of it stood.
 NEARBY = 10
 
-#: What fewer cameras saw is guesswork: one shows no depth, and two agree on much that is not there.
+#: Cameras that a place needs: one shows no depth, and two agree on much that is not there.
 ENOUGH = 3
 
-#: Height of the map, pixels; the gap between its parts, and the height of its text.
-SIDE, GAP, TEXT = 400, 8, 15
+#: Height of the map, pixels.
+SIDE = 400
 
-#: Of what no camera saw, fewer than enough, as few as that, and many; how many are many; of cameras and the box.
-NONE, FEW, LEAST, MOST = (224, 224, 224), (246, 178, 107), (196, 228, 186), (26, 120, 66)
+#: Colours of what no camera saw, fewer than ENOUGH, ENOUGH, and MANY or more; of cameras, and of the box.
+NONE, FEW, PALE, FULL = (224, 224, 224), (246, 178, 107), (196, 228, 186), (26, 120, 66)
 MANY, CAMERA, BOX = 12, (30, 60, 160), (200, 30, 30)
 
 
@@ -68,11 +66,11 @@ class Coverage:
     @property
     def elevation(self) -> tuple[float, float]:
         """Lowest and highest camera, degrees above the horizon of the place."""
-        rises = _elevations(self.directions)
+        rises = elevations(self.directions)
         return float(rises.min()), float(rises.max())
 
     def counts(self, directions: np.ndarray) -> np.ndarray:
-        """(n,) how many cameras stand within COVERED_DEGREES of directions (n, 3) of the frame."""
+        """(n,) numbers of cameras within COVERED_DEGREES of directions (n, 3) of the frame."""
         return (directions @ self.directions.T >= math.cos(math.radians(COVERED_DEGREES))).sum(axis=1)
 
     def shares(self, least: int = 1) -> tuple[float, float]:
@@ -115,7 +113,7 @@ class Coverage:
         return np.minimum(smooth / smooth[0], 1.0)
 
     def summary(self) -> str:
-        """What was seen, in words."""
+        """One line on what was seen."""
         low, high = self.elevation
         return (
             f"from {360 - self.around:.0f} of 360 degrees around it, at heights of {low:.0f} to {high:.0f}; "
@@ -137,7 +135,7 @@ def find_coverage(cameras: Sequence[Camera], middle: ArrayLike, up: ArrayLike = 
 
 
 def picture_counts(cameras: Sequence[Camera], points: np.ndarray) -> np.ndarray:
-    """(n,) in how many pictures points (n, 3) lie, world units; what may stand before them is not asked."""
+    """(n,) in how many pictures points (n, 3) lie, world units, whatever may occlude them."""
     return np.sum([_in_picture(camera, points) for camera in cameras], axis=0)
 
 
@@ -148,51 +146,18 @@ def little_seen(cameras: Sequence[Camera], bounds: np.ndarray) -> float:
     return float((picture_counts(cameras, bounds[0] + grid * (bounds[1] - bounds[0])) < ENOUGH).mean())
 
 
-def within_sight(
-    moving: MovingCamera, cameras: Sequence[Camera], *, anywhere: bool = False
-) -> tuple[MovingCamera, list[str]]:
-    """A film's camera whose turns and cranes without an amount stay within what cameras saw, and lines that say so.
-    anywhere: it may begin in the middle of what was seen, where nobody chose the side that it begins at."""
-    moves, camera, notes = list(moving.moves), moving.start, []
-    if not cameras or all(move.amount is not None or move.kind not in ("turn", "crane") for move in moves):
-        return moving, notes
-    seen = find_coverage(cameras, moving.pivot, moving.up)
-    arc, highest = seen.arc(camera.center), seen.elevation[1]
-    for index, move in enumerate(moves):
-        if move.kind == "turn" and move.amount is None and arc is not None:
-            low, high = arc
-            if anywhere and not low <= 0.0 <= high:
-                camera = turned(camera, moving.pivot, moving.up, math.radians(0.5 * (low + high)))
-                low, high = 0.5 * (low - high), 0.5 * (high - low)
-            low, high = min(low, 0.0), max(high, 0.0)
-            moves[index] = dataclasses.replace(move, arc=(low, high), reach=seen.reach(camera.center))
-            notes.append(
-                f"the camera goes there and back through {high - low:.0f} degrees, as no picture shows "
-                f"{seen.around:.0f} of 360 around the object: --full-turn goes all the way round"
-            )
-        elif move.kind == "crane" and move.amount is None:
-            rise = float(_elevations(((camera.center - moving.pivot) @ seen.frame)[None])[0])
-            amount = min(MOVES["crane"], max(highest - rise, 0.0))
-            moves[index] = dataclasses.replace(move, amount=amount)
-            if amount < MOVES["crane"]:
-                notes.append(
-                    f"the crane rises by {amount:.0f} degrees, to the highest picture: crane:{MOVES['crane']:g} goes on"
-                )
-    return dataclasses.replace(moving, start=camera, moves=moves), notes
-
-
 def draw_coverage(coverage: Coverage, cameras: Sequence[Camera], bounds: np.ndarray) -> np.ndarray:
     """A map of what was seen, (h, w, 3) float32: directions from the middle by angles, and places on its level.
     Grey: by no camera, orange: by fewer than ENOUGH, green: by so many or more; dots are cameras, red is the box."""
     from PIL import Image, ImageDraw, ImageFont
 
-    font, small = ImageFont.load_default(size=TEXT), ImageFont.load_default(size=TEXT - 3)
+    small = ImageFont.load_default(size=TEXT - 3)
     begin = coverage.seam
     turn, rise = np.meshgrid(_middles(2 * SIDE, begin, begin + 360), _middles(SIDE, 90, -90))
     flat = np.cos(np.radians(rise))
     ways = np.stack([flat * np.cos(np.radians(turn)), flat * np.sin(np.radians(turn)), np.sin(np.radians(rise))], -1)
     counts = np.concatenate([coverage.counts(row) for row in ways])
-    angles = Image.fromarray(_shades(counts).reshape(SIDE, 2 * SIDE, 3))
+    angles = Image.fromarray(_count_colors(counts).reshape(SIDE, 2 * SIDE, 3))
     draw = ImageDraw.Draw(angles)
     for degrees in range(-180, 180, 45):
         x = (degrees - begin) % 360 / 360 * 2 * SIDE
@@ -211,7 +176,7 @@ def draw_coverage(coverage: Coverage, cameras: Sequence[Camera], bounds: np.ndar
     half = 1.1 * max(np.abs(local[0][:, :2]).max(), np.percentile(np.abs(local[1][:, :2]).max(axis=1), 98))
     x, y = np.meshgrid(_middles(SIDE, -half, half), _middles(SIDE, half, -half))
     level = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3) @ coverage.frame.T + coverage.middle
-    plan = Image.fromarray(_shades(picture_counts(cameras, level)).reshape(SIDE, SIDE, 3))
+    plan = Image.fromarray(_count_colors(picture_counts(cameras, level)).reshape(SIDE, SIDE, 3))
     draw = ImageDraw.Draw(plan)
     pixels = [(points[:, :2] * (1, -1) / half + 1.0) * SIDE / 2 for points in local]
     for one in range(8):
@@ -220,7 +185,6 @@ def draw_coverage(coverage: Coverage, cameras: Sequence[Camera], bounds: np.ndar
     for eye in pixels[1]:
         _dot(draw, eye)
 
-    width = 3 * SIDE + 3 * GAP
     lines = [
         (
             "left: where cameras stand, seen from the middle, degrees around and above; right: what lies in their "
@@ -232,14 +196,7 @@ def draw_coverage(coverage: Coverage, cameras: Sequence[Camera], bounds: np.ndar
             f"{ENOUGH} pictures"
         ),
     ]
-    letters = int((width - 2 * GAP) / font.getlength("n"))
-    lines = [row for line in lines for row in textwrap.wrap(line, letters)]
-    sheet = Image.new("RGB", (width, SIDE + 3 * GAP + round(1.4 * TEXT * len(lines))), (245, 245, 245))
-    sheet.paste(angles, (GAP, GAP))
-    sheet.paste(plan, (2 * SIDE + 2 * GAP, GAP))
-    for row, line in enumerate(lines):
-        ImageDraw.Draw(sheet).text((GAP, SIDE + 2 * GAP + round(1.4 * TEXT * row)), line, fill=(30, 30, 30), font=font)
-    return np.asarray(sheet, np.float32) / 255.0
+    return captioned([angles, plan], lines, 245)
 
 
 def _in_picture(camera: Camera, points: np.ndarray) -> np.ndarray:
@@ -249,7 +206,7 @@ def _in_picture(camera: Camera, points: np.ndarray) -> np.ndarray:
         return (depths > 0.0) & ((pixels >= 0.0) & (pixels <= (camera.width, camera.height))).all(axis=1)
 
 
-def _elevations(ways: np.ndarray) -> np.ndarray:
+def elevations(ways: np.ndarray) -> np.ndarray:
     """(n,) degrees above the horizon of ways (n, 3) of any length, the last axis up."""
     return np.degrees(np.arcsin(np.clip(ways[:, 2] / np.linalg.norm(ways, axis=1), -1, 1)))
 
@@ -258,10 +215,10 @@ def _middles(count: int, begin: float, end: float) -> np.ndarray:
     return begin + (np.arange(count) + 0.5) * (end - begin) / count
 
 
-def _shades(counts: np.ndarray) -> np.ndarray:
+def _count_colors(counts: np.ndarray) -> np.ndarray:
     """(n, 3) uint8 colours of numbers of cameras (n,)."""
     share = np.clip((counts - ENOUGH) / (MANY - ENOUGH), 0.0, 1.0)[:, None]
-    green = (1.0 - share) * LEAST + share * np.array(MOST)
+    green = (1.0 - share) * PALE + share * np.array(FULL)
     return np.where(counts[:, None] == 0, NONE, np.where(counts[:, None] < ENOUGH, FEW, green)).astype(np.uint8)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pathlib
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,8 +67,8 @@ def load_scene(
             OpenSfM, by its number, or of several chunks of Metashape, by its label. None takes the one with most
             pictures, of COLMAP models one for pictures of the size that is there. Of ARKitScenes the folder of
             pictures; None takes that of the largest.
-        progress: True shows a bar on stderr. A function is told (done, total, words), in pictures, and ends the work by
-            returning False or by raising.
+        progress: True shows a bar on stderr. A function is called with (done, total, message), in pictures, and
+            cancels the work by returning False or by raising.
 
     Returns:
         The scene.
@@ -92,7 +93,9 @@ def load_scene(
 
     if model is not None and "model" not in found.options:
         raise InputError(f"model chooses among several that a scene holds: those of the format {found.name!r} hold one")
-    chosen = {} if model is None else {"model": model}
+    chosen: dict[str, Any] = {} if model is None else {"model": model}
+    if "progress" in found.options:
+        chosen["progress"] = progress
 
     def read(name: str) -> Scene:
         color, factor = parse_background(background), int(downscale)
@@ -147,7 +150,7 @@ NOT_READ = {
     "the scene is the folder that was given to ns-train",
 }
 
-#: Words for a folder that nothing is known of.
+#: What messages say of a folder of videos, and of one that nothing is known of.
 VIDEOS = "*.mp4 *.mov *.MP4 *.MOV", "a video has no cameras: `warpcage capture VIDEO -o scene` finds them"
 UNKNOWN = "`warpcage info` lists those that are known"
 
@@ -181,7 +184,7 @@ PICTURES_ALONE = ("images/", "rgb/", "image/", "train/", "train/rgb/", "color/",
 
 
 def _said_of(folder: pathlib.Path, kinds: dict[str, str]) -> str:
-    """What is said of the first kind of which a folder holds one of the names; "" for none."""
+    """The message of the first kind of which a folder holds one of the names; "" for none."""
     return next((said for names, said in kinds.items() if any(_holds(folder, name) for name in names.split())), "")
 
 
@@ -212,13 +215,13 @@ def _holds(folder: pathlib.Path, name: str) -> bool:
     return any(found.is_dir() == name.endswith("/") for found in folder.glob(name.rstrip("/")))
 
 
-def _joined(words: list[str]) -> str:
-    """Words in a sentence."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+def _joined(names: list[str]) -> str:
+    """ "a, b and c"."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def scene_around(path: pathlib.Path) -> str:
-    """What to say of a file or folder that is part of a scene; "" where it is of none."""
+    """The hint for a file or folder that is part of a scene; "" for others."""
     above = [
         each for each in path.absolute().parents[:3] if "sparse" not in each.parts[-2:]
     ]  # COLMAP's has no pictures

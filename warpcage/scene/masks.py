@@ -1,4 +1,4 @@
-"""Masks of a scene's pictures: which files they are, by one rule for all formats, and what their pixels say."""
+"""Masks of a scene's pictures: their files, by one rule for all formats, and the opacities that they hold."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def with_masks(
     *,
     home: pathlib.Path | None = None,
 ) -> list[View]:
-    """Views with the masks that are asked for, as `load_scene` has it, and those of what is to be ignored. beside:
-    pictures of other splits, by which masks of the same names are told apart; home: masks/ itself, None finds it."""
+    """Views with their masks, as `load_scene` describes `masks`, and those of ignored pixels. beside: pictures of other
+    splits, to distinguish masks of the same names; home: the folder of masks, None finds it."""
     if not masks:
         return [dataclasses.replace(view, mask=None) for view in views]
     if all(view.mask is None for view in views):
@@ -55,7 +55,7 @@ def with_masks(
 def _with_named_masks(
     folder: pathlib.Path, views: list[View], beside: Sequence[pathlib.Path], given: pathlib.Path | None
 ) -> list[View]:
-    """Views with the files of masks/ that have their names; what is there and not used is said."""
+    """Views with the files of masks/ that have their names; it warns of masks that are not used."""
     files = list(dict.fromkeys([*(view.file for view in views), *beside]))
     if not files or not all(file.is_relative_to(folder) for file in files):
         return views
@@ -71,7 +71,7 @@ def _with_named_masks(
         if mask is not None:
             found[file] = mask
     _require_own(found)
-    _tell_unused(views, files, found, there, starts)
+    _warn_of_unused(views, files, found, there, starts)
     return [dataclasses.replace(view, mask=found.get(view.file)) for view in views]
 
 
@@ -125,7 +125,7 @@ def _require_own(found: dict[pathlib.Path, pathlib.Path]) -> None:
             )
 
 
-def _tell_unused(
+def _warn_of_unused(
     views: list[View],
     files: list[pathlib.Path],
     found: dict[pathlib.Path, pathlib.Path],

@@ -1,9 +1,10 @@
-"""Read what scene folders say in text: numbers, matrices, JSON, and names of files that must stay in their folder."""
+"""Text files of scene folders: numbers, matrices, tables, JSON, and names of files that must stay in their folder."""
 
 from __future__ import annotations
 
 import codecs
 import contextlib
+import csv
 import json
 import math
 import os
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.checks import listed, shown, warn_caller
+from ..core.checks import checked_number, listed, shown, warn_caller
 from ..core.files import JSON_ROOM, TEXT_ROOM, read_limited, require_file, seen_note
 from ..core.names import counted, error_line
 from ..errors import InputError, MissingFileError
@@ -66,11 +67,11 @@ DECIMAL_COMMA = re.compile(r"[-+]?[0-9]*,[0-9]+([eE][-+]?[0-9]+)?")
 
 def floats(text: str, where: str) -> list[float]:
     """The numbers in a text, all finite, with decimal points or with decimal commas."""
-    words = text.split()
+    tokens = text.split()
     if "," in text and "." not in text:
-        words = [word.replace(",", ".") if DECIMAL_COMMA.fullmatch(word) else word for word in words]
+        tokens = [token.replace(",", ".") if DECIMAL_COMMA.fullmatch(token) else token for token in tokens]
     try:
-        values = [float(word) for word in words]
+        values = [float(token) for token in tokens]
     except ValueError as error:
         mixed = " (decimal commas beside points)" if "," in text and "." in text else ""
         raise InputError(f"{where}: {error_line(error, 300)}{mixed}") from error
@@ -79,16 +80,37 @@ def floats(text: str, where: str) -> list[float]:
     return values
 
 
-def number(value: object, where: str) -> float:
-    """A finite number out of JSON; text, truth values and null are none."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        try:
-            value = float(value)
-        except OverflowError:
-            value = math.inf
-        if math.isfinite(value):
-            return value
-    raise InputError(f"{where} must be a finite number, got {shown(value)}")
+def numbers(value: object, count: int, where: str) -> list[float]:
+    """As many finite numbers out of a JSON list."""
+    if not isinstance(value, list) or len(value) != count:
+        raise InputError(f"{where} must hold {count} numbers, got {shown(value)}")
+    return [checked_number(each, where) for each in value]
+
+
+def table_rows(path: pathlib.Path, what: str, columns: Sequence[str]) -> Iterator[tuple[str, dict[str, str]]]:
+    """The rows of a .csv file by the names in its first line, each with its place for messages; columns: that it needs;
+    what: how messages call the file."""
+    rows = csv.reader(read_text(path, what).splitlines(), skipinitialspace=True)
+    head = [name.strip() for name in next(rows, [])]
+    missing = [name for name in columns if name not in head]
+    if missing:
+        raise InputError(f"{path} lacks the columns {listed(missing)}, which its first line must name")
+    for row in filter(None, rows):
+        where = f"{path}:{rows.line_num}"
+        if len(row) < len(head):
+            raise InputError(f"{where}: {len(head)} values expected, as in the first line, got {shown(','.join(row))}")
+        yield where, dict(zip(head, row, strict=False))
+
+
+def first_with(paths: Iterable[pathlib.Path], count: int, *marks: bytes) -> pathlib.Path | None:
+    """The first file that has all marks within its first `count` bytes, spaces left out."""
+    for path in paths:
+        if path.is_file():
+            with path.open("rb") as opened:
+                head = opened.read(count).replace(b" ", b"")
+            if all(mark in head for mark in marks):
+                return path
+    return None
 
 
 def picture_size(width: float, height: float, where: str) -> tuple[int, int]:
@@ -108,7 +130,7 @@ def matrix(value: object, shape: tuple[int, int], where: str) -> np.ndarray:
     ):
         raise InputError(f"{where} must be a {rows}x{columns} matrix, got {shown(value)}")
     return np.array(
-        [[number(entry, f"{where}[{i}][{j}]") for j, entry in enumerate(row)] for i, row in enumerate(value)]
+        [[checked_number(entry, f"{where}[{i}][{j}]") for j, entry in enumerate(row)] for i, row in enumerate(value)]
     )
 
 
@@ -123,14 +145,14 @@ def matrix_file(path: pathlib.Path, sides: Sequence[int], text: str | None = Non
 
 
 def intrinsics_of(k: np.ndarray, where: str) -> Intrinsics:
-    """What a camera matrix (3, 3) or (4, 4) says; refused with skew."""
+    """The intrinsics of a camera matrix (3, 3) or (4, 4); refused with skew."""
     if max(abs(k[0, 1]), abs(k[1, 0])) > 1e-6 * abs(k[0, 0]):
         raise InputError(f"{where}: a camera matrix with skew {k[0, 1]:g} is not read")
     return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
 
 
 def inside(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
-    """The path of `name` in `folder`; refused where it is the folder, or leads out of it by its words alone."""
+    """The path of `name` in `folder`; refused where it is the folder, or leads out of it, links aside."""
     if not isinstance(name, str) or not name.strip() or "\0" in name or len(name) > 4000:
         raise InputError(f"{where} must be the name of a file, got {shown(name)}")
     root = os.path.abspath(folder)
@@ -226,12 +248,11 @@ class PictureFinder:
             self._known[folder] = known
         return self._known[folder]
 
-    def tell(self, listing: pathlib.Path) -> None:
-        """Warn where pictures were found by the ends of their paths, or with other endings; listing: the file that
-        lists them."""
+    def warn_of_changed_names(self, listing: pathlib.Path) -> None:
+        """Warn of pictures that were found by the ends of their paths, or with other endings than `listing` has."""
         said = [
-            f"{counted(len(names), 'file')} {how}, the first is {shown(names[0])}"
-            for names, how in ((self.moved, "by paths of another folder"), (self.changed, "with another ending"))
+            f"{counted(len(names), 'file')} {changed}, the first is {shown(names[0])}"
+            for names, changed in ((self.moved, "by paths of another folder"), (self.changed, "with another ending"))
             if names
         ]
         if said:
@@ -297,8 +318,7 @@ def _with_ending(path: pathlib.Path) -> pathlib.Path:
 
 
 def names_apart(files: Sequence[pathlib.PurePath]) -> list[str]:
-    """Names of different files: those without ending, with as many folders, and then the ending, as it takes to tell
-    all of them apart."""
+    """Different names of different files: their stems, with folders and endings only as far as these are needed."""
 
     def named(count: int, whole: bool) -> list[str]:
         return ["/".join([*file.parts[-count:-1], file.name if whole else file.stem]) for file in files]
@@ -388,8 +408,8 @@ def evenly(count: int) -> list[int]:
 
 
 def chosen_part(counts: dict[str, int], wanted: str | None, where: pathlib.Path, kind: str) -> str:
-    """The name of one of several models in a scene: the one that was asked for, or the one with most pictures; others
-    are told of. counts: pictures by name; kind: what messages call a model."""
+    """The name of one of several models in a scene: `wanted`, or the one with most pictures and a warning that names
+    the others. counts: pictures by name; kind: what messages call a model."""
     if wanted is not None:
         fitting = [name for name in counts if wanted in (name, name.rpartition("/")[2])]
         if not fitting:

@@ -7,19 +7,20 @@ import os
 import pathlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
 from ..core.checks import warn_caller
 from ..core.memory import free_host_bytes
-from ..core.reports import report_progress
+from ..core.reports import Progress, report_progress
 from ..errors import InputError, MissingFileError
 from ..view.camera import Camera
 from ..view.pictures import Rows, read_rows, shrink, shrink_weights, shrunk_size
 from .box import Bounds, find_box
 from .lenses import Intrinsics, Part, pinhole_parts
 from .masks import opacity_rows, with_masks
-from .parsing import is_file, names_apart, smaller_copies
+from .parsing import PictureFinder, held_out, is_file, names_apart, smaller_copies
 from .scene import Scene
 from .sizes import (
     Size,
@@ -35,15 +36,15 @@ from .sizes import (
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order; the first few may be given
 
-#: The picture is never enlarged beyond this to get rid of what lies past its edge.
+#: Largest zoom that hides what lies beyond the edge of an undistorted picture.
 MAX_ZOOM = 4.0
 
-#: Shortest focal length in shares of a side, 171 degrees: shorter ones are no pixels, but shares or millimetres.
+#: Shortest focal length in shares of a side, 171 degrees: shorter ones are not in pixels, but shares or millimetres.
 SHORTEST_FOCAL = 0.04
 
 
 def distort(x: np.ndarray, y: np.ndarray, coefficients: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Where a lens puts points of pinhole coordinates x = (u - cx) / fx, y = (v - cy) / fy, of any shape."""
+    """Distorted coordinates of pinhole coordinates x = (u - cx) / fx, y = (v - cy) / fy, of any shape."""
     # x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
     # y' = y (the same) + p1 (r^2 + 2 y^2) + 2 p2 x y
     k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, *[0.0] * (8 - len(coefficients)))
@@ -126,7 +127,7 @@ STRIP_BYTES = 1 << 22
 MAX_WORKERS = 32
 
 
-#: By how much opacities miss 1 where opaque pictures were shrunk or a lens was undone.
+#: Rounding of opacity 1 where opaque pictures were shrunk or undistorted.
 ALPHA_ROUNDING = 1e-5
 
 
@@ -150,6 +151,21 @@ def files_of(views: list[View]) -> list[pathlib.Path]:
     return [view.file for view in views]
 
 
+def held_out_scene(folder: pathlib.Path, views: list[View], split: str, **options: Any) -> Scene:
+    """The scene of a split of all views of a format that has no splits: every eighth is `test`; see `make_scene`."""
+    chosen = [views[index] for index in held_out(len(views), split, folder)]
+    return make_scene(folder, chosen, beside=files_of(views), **options)
+
+
+def listed_scene(
+    folder: pathlib.Path, views: list[View], split: str, listing: pathlib.Path, finder: PictureFinder, **options: Any
+) -> Scene:
+    """`held_out_scene` of the views, by name, whose pictures are there; listing: the file that lists them."""
+    views = sorted(views_there(views, listing), key=lambda view: str(view.file))
+    finder.warn_of_changed_names(listing)
+    return held_out_scene(folder, views, split, **options)
+
+
 def make_scene(
     folder: pathlib.Path,  # which pictures and masks must not lead out of: see `Bounds`
     views: list[View],
@@ -162,6 +178,7 @@ def make_scene(
     points: np.ndarray | None = None,  # (m, 3) points of a reconstruction, world units
     point_colors: np.ndarray | None = None,  # (m, 3) in [0, 1]
     to_source: np.ndarray | None = None,  # (4, 4) as Scene has it
+    progress: bool | Progress = False,
 ) -> Scene:
     """Read the pictures of views, undo their distortion, shrink them and put them on the background."""
     # The bounds are taken from the points, if there are no others: those that the cameras look at.
@@ -228,7 +245,7 @@ def make_scene(
     with ThreadPoolExecutor(workers) as pool:
         try:
             for index, _ in enumerate(pool.map(load, groups.values())):
-                report_progress(index + 1, len(groups), "read pictures")
+                report_progress(progress, index + 1, len(groups), "read pictures")
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

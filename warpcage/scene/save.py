@@ -56,9 +56,9 @@ def save_scene(scene: Scene, folder: PathLike) -> None:
 
 
 def transforms_frame(file: str, camera: Camera, **more: Any) -> dict[str, Any]:
-    """A frame of transforms.json: a picture's file, its camera, and more words."""
+    """A frame of transforms.json: a picture's file, its camera, and `more` keys."""
     names = {"fl_x": "fx", "fl_y": "fy", "cx": "cx", "cy": "cy", "w": "width", "h": "height"}
-    numbers = {word: getattr(camera, name) for word, name in names.items()}
+    numbers = {key: getattr(camera, name) for key, name in names.items()}
     pose = camera.camera_to_world @ TO_OPENCV  # the same back
     return {"file_path": file, **numbers, **more, "transform_matrix": pose.tolist()}
 

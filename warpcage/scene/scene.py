@@ -1,4 +1,4 @@
-"""Posed images of one scene."""
+"""Images of one scene with their cameras: the class Scene."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Scene:
         weights: (n, h, w) float32 in [0, 1], how much each pixel counts: 0 for what is to be ignored, such as people
             who walk by. Fits and figures take nothing from pixels of 0. A pixel of a smaller picture has the least of
             those that it is made of, as its colour is made of them all. None counts all.
-        found: Where the bounds come from where they were found from the points; it says nothing of other bounds.
+        found: How the bounds were found from the points; ignored where `bounds` are others.
 
     Raises:
         ValueError: If the parts do not fit together, or images, alphas, weights, points or their colours hold values
@@ -134,7 +134,7 @@ class Scene:
         return any((camera.height, camera.width) != self.images.shape[1:3] for camera in self.cameras)
 
     def cut(self, index: int, image: np.ndarray) -> np.ndarray:
-        """What belongs to a picture of an array as large as the images, such as `images[index]`.
+        """The part of an array as large as the images that belongs to a picture, such as of `images[index]`.
 
         Args:
             index: Number of the picture.
@@ -148,10 +148,10 @@ class Scene:
         return image[: camera.height, : camera.width]
 
     def subset(self, numbers: Sequence[int] | slice) -> Scene:
-        """Some of the pictures, with all that belongs to them.
+        """A scene of some of the pictures.
 
         Args:
-            numbers: Those of the pictures, in the order that the new scene has, or a slice of them.
+            numbers: Indices of the pictures, in the order of the new scene, or a slice.
 
         Returns:
             The scene; its arrays are views of this one's where `numbers` is a slice.
@@ -225,7 +225,7 @@ class Scene:
                     "file must name all pictures of the split"
                 )
             chosen = [named[name] for name in self.names]
-            turn = float(np.median([_turn(one, other) for one, other in zip(chosen, self.cameras, strict=True)]))
+            turn = float(np.median([turn_between(one, other) for one, other in zip(chosen, self.cameras, strict=True)]))
             if turn > OTHER_TURN:
                 raise InputError(
                     f"its cameras look elsewhere than the scene's, {turn:.0f} degrees in the median: they may be those "
@@ -239,13 +239,13 @@ class Scene:
         return dataclasses.replace(self, cameras=[_at_size(camera, own.width, own.height) for camera, own in pairs])
 
     def straightened(self, *, round_bounds: bool = False) -> Scene:
-        """The scene turned about the origin of its world, so that `up` is +z; by the smallest such turn.
+        """The scene after the smallest rotation about the origin of its world that makes `up` +z.
 
         Args:
             round_bounds: As for `moved`.
 
         Returns:
-            The scene; this one if it stands straight. `straightening` is the turn.
+            The scene; this one if `up` is +z already. `straightening` is the rotation.
         """
         turn = rotation_to(self.up, np.array([0.0, 0.0, 1.0]))
         return self if turn is None else self.moved(turn, round_bounds=round_bounds)
@@ -255,8 +255,8 @@ class Scene:
 
         Args:
             motion: (4, 4) from the coordinates of this scene to those of the new one.
-            round_bounds: Whether the bounds are those of a ball, which stay as large. Otherwise they become the box
-                around the moved box, or are found anew where they were found from points.
+            round_bounds: Whether the bounds enclose a ball, so that they keep their size. Otherwise they become the
+                box around the moved box, or are found again where they were found from points.
 
         Returns:
             The scene. Its `straightening` is that of this one followed by the motion, `to_source` undoes it.
@@ -322,14 +322,12 @@ def _checked_points(points: ArrayLike | None, colors: ArrayLike | None) -> tuple
         raise InputError(f"scene points must be finite and (m, 3), got shape {places.shape}")
     if colors is None:
         return places, None
-    shades = real_array(colors, "scene point_colors", np.float32)
-    if shades.shape != places.shape:
-        raise InputError(f"scene point_colors must be {places.shape}, as the points, got {shades.shape}")
-    if shades.size and not (shades.min() >= 0.0 and shades.max() <= 1.0):  # false for NaN too
-        raise InputError(
-            f"scene point_colors hold values from {shades.min():g} to {shades.max():g}: they must lie in [0, 1]"
-        )
-    return places, shades
+    rgb = real_array(colors, "scene point_colors", np.float32)
+    if rgb.shape != places.shape:
+        raise InputError(f"scene point_colors must be {places.shape}, as the points, got {rgb.shape}")
+    if rgb.size and not (rgb.min() >= 0.0 and rgb.max() <= 1.0):  # false for NaN too
+        raise InputError(f"scene point_colors hold values from {rgb.min():g} to {rgb.max():g}: they must lie in [0, 1]")
+    return places, rgb
 
 
 def _checked_images(images: np.ndarray) -> np.ndarray:
@@ -386,8 +384,8 @@ def _checked_shares(
     return shares
 
 
-def _turn(one: Camera, other: Camera) -> float:
-    """Degrees between the axes of two cameras."""
+def turn_between(one: Camera, other: Camera) -> float:
+    """The angle, degrees, of the rotation from one camera to another."""
     cosine = 0.5 * (np.trace(one.rotation.T @ other.rotation) - 1.0)
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 

@@ -74,7 +74,7 @@ CROPS = (0.8, 1.25)
 
 def chosen_copy(copies: Mapping[int, pathlib.Path], downscale: int, folder: pathlib.Path) -> tuple[int, int]:
     """Which folder of a scene's pictures, by how many times they are smaller, is read for a downscale, and by how much
-    it is shrunk: the nearest that is not smaller. It is said where pictures become smaller than was asked for."""
+    it is shrunk: the nearest that is not smaller. It warns where pictures become smaller than requested."""
     known = sorted(copies)
     fitting = [factor for factor in known if downscale % factor == 0]
     smaller = [factor for factor in known if factor > downscale]
@@ -97,7 +97,7 @@ def of_copies(
         return views, beside, downscale, 1
     copies = [smaller_copies(view.file, folder) for view in views]
     shared = set.intersection(*map(set, copies)) if copies else set()
-    if not shared:  # what is missing is said when it is opened
+    if not shared:  # what is missing is refused when it is opened
         return views, beside, downscale, 1
     folders = {factor: pathlib.Path(f"images_{factor}") for factor in shared}
     factor, rest = chosen_copy(folders, downscale, folder)
@@ -187,7 +187,7 @@ def _is_resized(views: list[View], share: float) -> bool:
 
 
 def _other_size(views: list[View], sizes: list[Size], wrong: list[int]) -> str:
-    """What to say of pictures of which some have another size than their cameras are for."""
+    """The message for pictures of which some have another size than their cameras are for."""
     view, size = views[wrong[0]], sizes[wrong[0]]
     assert view.size is not None
     said = f"{view.where}: the camera is for {times(view.size)} pixels, image {view.file.name!r} has {times(size)}"
@@ -211,7 +211,7 @@ def _scaled_view(view: View, claimed: Size, size: Size) -> View:
 
 
 def sizes_there(files: Sequence[pathlib.Path], *, upright: bool) -> list[Size]:
-    """Sizes of pictures of other splits that can be read: what is wrong with the rest is told with their split.
+    """Sizes of pictures of other splits that can be read: errors of the rest are raised with their split.
     upright: whether pictures on their side are turned."""
 
     def size_of(file: pathlib.Path) -> Size | None:

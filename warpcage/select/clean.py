@@ -1,4 +1,4 @@
-"""Fields without what hangs loose in them, and without what no view shows."""
+"""Fields without detached parts, and without what no view shows."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import warp as wp
 
 from ..core.checks import checked_number, checked_positive, checked_whole
 from ..core.devices import launch
-from ..core.locks import device_turn
 from ..core.names import counted
+from ..core.threads import device_turn
 from ..errors import InputError
 from ..field.render import STOP_TRANSMITTANCE
 from ..field.sparse import harmonics_on_host
@@ -41,13 +41,13 @@ class Cleaned:
     """What is left of a field."""
 
     field: Any  # what is left
-    gone: np.ndarray  # bool, what went: (n,) of the splats, (nx, ny, nz) of the voxels
-    notes: tuple[str, ...]  # a line for each kind of what went
+    gone: np.ndarray  # bool, what was removed: (n,) of the splats, (nx, ny, nz) of the voxels
+    notes: tuple[str, ...]  # a line for each kind of what was removed
 
 
 @dataclasses.dataclass(frozen=True)
 class CleanOptions:
-    """What is to go."""
+    """What is removed from a field."""
 
     floaters: float = FLOATERS  # parts of fewer nodes than this share of the largest; 0 for none
     parts: int | None = None  # so many parts are kept, the largest; None for all
@@ -68,7 +68,7 @@ class CleanOptions:
 
 
 def clean_voxels(field: VoxelField, options: CleanOptions) -> Cleaned:
-    """A field of voxels without what is to go; refused where no voxel that can be seen would be left."""
+    """A field of voxels cleaned by the options; refused where no visible voxel would be left."""
     from scipy.ndimage import binary_dilation
 
     cube, links = np.ones((3, 3, 3), bool), field.grid.links.numpy()
@@ -101,12 +101,12 @@ def require_left(left: np.ndarray) -> None:
 
 
 def went(count: int, whole: int, node: str, where: str) -> str:
-    """A line on what went; node: what one is called."""
+    """A line on what was removed; node: what one is called."""
     return f"removed {counted(count, node)} ({100 * count / max(whole, 1):.2g} %) {where}"
 
 
 def unshown(options: CleanOptions) -> str:
-    """Which are those that too few views show, in words."""
+    """A description of those that too few views show."""
     views = counted(len(options.cameras or ()), "view")
     return f"that {'none' if options.least_views == 1 else f'fewer than {options.least_views}'} of {views} show"
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds, checked_number, checked_vector, require_type, shown
-from ..core.names import PLANES, require_name
+from ..core.names import PLANES, checked_choice
 from ..core.reports import Progress, report_progress, reports_progress
 from ..errors import InputError
 from ..field.surface import DensityField, node_grid, surface_density
@@ -222,7 +222,7 @@ FRINGE_VOXELS, FRINGE_SHARE = 2, 0.02
 #: From so many dense nodes on at a side of the field's box an object may go on beyond it.
 AT_SIDE = 4
 
-#: Steps of choosing an object on one grid, of which is told.
+#: Steps of choosing an object on one grid, as progress counts them.
 STEPS = 4
 
 #: What messages call each kind of plane.
@@ -252,14 +252,14 @@ def select_object(
 ) -> NodeSelection:
     """An object of a scene without what it stands on: no masks are needed.
 
-    A click, a region or both choose it. The plane that it stands on is found in the whole field (`find_planes`): of
-    those below it the nearest that goes on around its foot. What lies up to `clearance` above the plane stays with it.
-    A click keeps what is connected to it by faces of voxels that are dense enough for the surface
-    (`warpcage.field.surface.surface_density`), so that haze connects nothing; what else can be seen within two voxels
-    of that, or a fiftieth of its longest side, belongs to it.
+    A click, a region or both choose the object. The plane that it stands on is found in the whole field
+    (`find_planes`): the nearest one below that extends around its foot. Matter up to `clearance` above that plane
+    belongs to the plane. A click keeps what connects to it through faces of voxels that are dense enough for a surface
+    (`warpcage.field.surface.surface_density`), so that haze connects nothing, and what else is visible within two
+    voxels of that, or a fiftieth of its longest side.
 
-    The matter of a SplatField is looked at on grids that become finer around what is found, so that an object in a
-    whole place is as many cells long as one that fills its field.
+    The matter of a SplatField is sampled on grids that become finer around the object, so that a small object in a
+    large scene has as many cells as one that fills its field.
 
     Example::
 
@@ -277,20 +277,20 @@ def select_object(
         cameras: Cameras of `masks` and `depth`.
         masks: One (h, w) mask per camera.
         depth: (2,) least and largest distance from the cameras, world units.
-        plane: What it stands on: "ground" is level, "wall" upright, "any" either, as far as `up` says; or a Plane; or
-            None, where it stands on nothing.
-        plane_at: (3,) a point on the plane, world units, where several could be it. None takes the one that fits.
-        up: (3,) what is up in the world. None is the field's own.
-        clearance: Distance above the plane from which on matter is the object's, world units. None is 2.5 standard
+        plane: What it stands on, relative to `up`: "ground" is a level plane, "wall" an upright one, "any" either; or
+            a Plane; or None for nothing.
+        plane_at: (3,) a point on the plane, world units, to choose among several. None chooses by the object.
+        up: (3,) up direction of the world. None is the field's own.
+        clearance: Distance above the plane at which the object begins, world units. None is 2.5 standard
             deviations of the heights of the plane's points and one voxel.
         parts: Number of connected parts to keep, the largest. None keeps all.
         floaters: Connected parts with fewer than this share of the largest part's nodes are dropped. 0 keeps all.
-        progress: True shows bars on stderr. A function is told (done, total, words), in steps
-            on each grid, and ends the work by False.
+        progress: True shows bars on stderr. A function is called with (done, total, message), in steps
+            on each grid, and cancels by returning False.
 
     Returns:
-        The selection. Its `floor` is where it was cut; its `notes` tell of sides of the field's box that it reaches
-        where a fitted outer field goes on, which no cage moves.
+        The selection. Its `floor` is the plane that it was cut at; its `notes` name the sides of the field's box at
+        which it may go on into the outer field, which no cage moves.
 
     Raises:
         ValueError: In one line: a click on nothing or on the plane, no such plane, nothing left, or values that make no
@@ -312,8 +312,8 @@ def select_object(
     given = {name: value for name, value in all_of.items() if value is not None}
 
     def choose(seen: DensityField) -> NodeSelection:
-        report_progress(0, STEPS, "object: what is in the region")
-        chosen = _object_in(select_nodes(seen, **given), clicks, plane, plane_at, up, clearance)
+        report_progress(progress, 0, STEPS, "object: what is in the region")
+        chosen = _object_in(select_nodes(seen, **given), clicks, plane, plane_at, up, clearance, progress)
         if parts is None and floaters == 0.0:
             return chosen
         kept = select_nodes(chosen, parts=parts, floaters=floaters)
@@ -327,16 +327,18 @@ def _held(values: Any) -> Any:
     return list(values) if isinstance(values, Iterable) and not isinstance(values, str) else values
 
 
-def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: float | None) -> NodeSelection:
+def _object_in(
+    region: NodeSelection, clicks, plane, plane_at, up, clearance: float | None, progress: bool | Progress
+) -> NodeSelection:
     """The object in what is visible of a region of a field, by clicks (k, 3) or all of it, above its plane."""
     field = region.field
-    report_progress(1, STEPS, "object: what is dense")
+    report_progress(progress, 1, STEPS, "object: what is dense")
     matter = _Matter(region)
     if clicks is not None:
         matter.connected(matter.above(None), clicks)
     notes = list(region.notes)
     floor = None
-    report_progress(2, STEPS, "object: what it stands on")
+    report_progress(progress, 2, STEPS, "object: what it stands on")
     if plane is not None:
         base = plane if isinstance(plane, Plane) else _support(field, matter, clicks, plane, plane_at, up)
         above = base.clearance(field.voxel_size) if clearance is None else clearance
@@ -347,11 +349,11 @@ def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: fl
         voxels = above / float(np.max(field.voxel_size))
         node = getattr(root_field(field), "node_name", "voxel")
         notes.append(
-            f"cut {above:.4g} ({voxels:.1f} {node}s) above the {_plane_word(plane)} through "
+            f"cut {above:.4g} ({voxels:.1f} {node}s) above the {_plane_text(plane)} through "
             f"{(base.normal * base.offset).round(4).tolist()}, normal {base.normal.round(3).tolist()}"
             + (f", {100 * base.share:.0f} % of the surface" if len(base.points) else "")
         )
-    report_progress(3, STEPS, "object: what is connected")
+    report_progress(progress, 3, STEPS, "object: what is connected")
     mask = matter.above(floor)
     if clicks is not None:
         mask = matter.connected(mask, clicks)
@@ -360,7 +362,7 @@ def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: fl
         raise InputError(f"nothing is selected: nothing dense enough for a surface is left{where}")
     notes += _cut_off(field, mask)
     mask = matter.with_fringe(mask, floor)
-    report_progress(STEPS, STEPS, "object: its fringe")
+    report_progress(progress, STEPS, STEPS, "object: its fringe")
     return NodeSelection(region.field, mask, tuple(notes), floor)
 
 
@@ -472,12 +474,12 @@ def _clicks(field: DensityField, point, pixel, camera) -> np.ndarray | None:
 
 def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
     """The plane of a kind that the clicked matter, or all in the region, stands on."""
-    require_name(kind, PLANES, "plane")
-    word, voxel = PLANE_NAMES[kind], field.voxel_size
+    checked_choice(kind, "plane", PLANES)
+    name, voxel = PLANE_NAMES[kind], field.voxel_size
     whole = root_field(field)
     planes = find_planes(whole, kind, up=up)
     if not planes:
-        raise InputError(f"no {word} is found in the field: {_other_planes(kind)}")
+        raise InputError(f"no {name} is found in the field: {_other_planes(kind)}")
     if plane_at is not None:
         place = checked_vector(plane_at, "plane_at")
         far = [abs(float(plane.heights(place))) for plane in planes]
@@ -485,7 +487,7 @@ def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
         room = max(planes[nearest].clearance(voxel), SEED_VOXELS * float(np.max(voxel)))
         if far[nearest] > room:
             raise InputError(
-                f"no {word} passes near {place.tolist()}: the nearest of {len(planes)} is {far[nearest]:.4g} away"
+                f"no {name} passes near {place.tolist()}: the nearest of {len(planes)} is {far[nearest]:.4g} away"
             )
         return planes[nearest]
 
@@ -495,7 +497,7 @@ def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
             raise InputError("nothing is selected: nothing in the region is dense enough for a surface")
         found = plane_through(planes, places, voxel, matter.holds)
         if found is None:
-            raise InputError(f"the selection stands on no {word}: {_other_planes(kind)}")
+            raise InputError(f"the selection stands on no {name}: {_other_planes(kind)}")
         return found
 
     def grown(plane: Plane) -> np.ndarray:
@@ -509,18 +511,18 @@ def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
         if abs(float(np.median(plane.heights(clicks)))) <= plane.clearance(voxel):
             raise InputError(_on_plane(clicks[0], plane, plane.clearance(voxel), kind))
     raise InputError(
-        f"no {word} of the field's {len(planes)} lies below the click at {clicks[0].round(4).tolist()}: "
+        f"no {name} of the field's {len(planes)} lies below the click at {clicks[0].round(4).tolist()}: "
         f"{_other_planes(kind)}"
     )
 
 
-def _plane_word(plane: str | Plane) -> str:
+def _plane_text(plane: str | Plane) -> str:
     return PLANE_NAMES[plane] if isinstance(plane, str) else "plane"
 
 
 def _on_plane(click: np.ndarray, plane: Plane, clearance: float, kind: str | Plane) -> str:
     return (
-        f"the click at {click.round(4).tolist()} is on the {_plane_word(kind)}, not on an object: it lies "
+        f"the click at {click.round(4).tolist()} is on the {_plane_text(kind)}, not on an object: it lies "
         f"{float(plane.heights(click)):.4g} above it, and what stands on it begins at {clearance:.4g}"
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_number, checked_positive, checked_vector, checked_whole
-from ..core.names import PLANES, require_name
+from ..core.names import PLANES, checked_choice
 from ..errors import InputError
 from ..field.surface import DensityField, node_grid, surface_density
 
@@ -26,7 +26,7 @@ _FIT_ROUNDS, _FIRST_SLAB = 6, 3.0
 #: Points of a plane have normals within so many degrees of its own, and their mean within so many.
 NORMAL_DEGREES, MEAN_DEGREES = 30.0, 10.0
 
-#: A level plane is within so many degrees of what is up for the cameras, which a hand rarely holds straight; an upright
+#: A level plane is within so many degrees of what is up for the cameras, which are rarely held straight; an upright
 #: one within so many of a right angle to it.
 TILT_DEGREES = 25.0
 
@@ -45,7 +45,7 @@ MIN_SHARE, MIN_POINTS, MIN_PATCH = 0.03, 30, 0.5
 #: can be seen of a surface fades.
 _CUT_DEVIATIONS, _CUT_VOXELS = 2.5, 1.0
 
-#: Voxels over which opacity is smoothed for normals, and the least slope of it that tells one.
+#: Voxels over which opacity is smoothed for normals, and its least slope that gives one.
 _SMOOTHING, _MIN_SLOPE = 1.0, 0.02
 
 #: Directions around what stands on a plane, and the share of them in which the plane must go on.
@@ -98,7 +98,7 @@ def find_planes(
 ) -> list[Plane]:
     """Planes in the surface of a field, such as the floor and the tables of a room, largest first.
     up: (3,); None is the field's own, or +z where it has none."""
-    require_name(kind, PLANES, "plane")
+    checked_choice(kind, "plane", PLANES)
     count = checked_whole(count, "count", 1)
     upward = checked_vector(getattr(field, "up", (0.0, 0.0, 1.0)) if up is None else up, "up")
     if not np.linalg.norm(upward) > 0.0:
@@ -206,8 +206,8 @@ def surface_points(field: DensityField, block: int = 1) -> tuple[np.ndarray, np.
         behind[:, axis] = np.maximum(behind[:, axis] - 1, 0)
         step = ahead[:, axis] - behind[:, axis]
         slope[:, axis] = (opacity[tuple(ahead.T)] - opacity[tuple(behind.T)]) / np.maximum(step, 1)
-    told = np.linalg.norm(slope, axis=1) >= _MIN_SLOPE
-    cells, slope = cells[told], slope[told] / voxel_size
+    clear = np.linalg.norm(slope, axis=1) >= _MIN_SLOPE
+    cells, slope = cells[clear], slope[clear] / voxel_size
     normals = -slope / np.linalg.norm(slope, axis=1, keepdims=True)
     points = np.asarray(field.bounds, np.float64)[0] + (cells + 0.5) * voxel_size
     weights = np.ones(len(cells)) if seen is None else np.asarray(seen, np.float64)[tuple(cells.T)]

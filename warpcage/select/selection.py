@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, cast
 
 import numpy as np
@@ -35,7 +35,7 @@ from .selection_file import SelectionContents, load_selection, occupancy_digest,
 #: Optical depth of a voxel that counts as empty.
 RIM_DEPTH = 0.01
 
-#: The tint of what is chosen: its colour and how much of it.
+#: Colour of the tint of chosen nodes, and its share.
 TINT, TINT_SHARE = (0.1, 0.9, 0.2), 0.55
 
 
@@ -188,7 +188,7 @@ SEED_VOXELS = 4
 
 
 def visible_nodes(field: DensityField, threshold: float | None = None) -> np.ndarray:
-    """Positions (n, 3) float64, world units, of the nodes of a field that can be seen, as `visible_mask` tells."""
+    """Positions (n, 3) float64, world units, of the nodes of a field that `visible_mask` has."""
     return _centers(field, np.argwhere(visible_mask(field, threshold)))
 
 
@@ -208,10 +208,7 @@ def some_visible_nodes(field: DensityField, count: int = 20_000) -> np.ndarray:
         densities = grid.density.numpy()[rows]
         if not np.isfinite(densities).all():
             raise InputError("a field with densities that are not finite has no visible nodes")
-        if weights is None:
-            seen = densities >= -np.log1p(-VISIBLE_OPACITY) / np.prod(field.voxel_size) ** (1.0 / 3.0)
-        else:
-            seen = (weights.numpy()[rows] >= VISIBLE_OPACITY) & (densities > 0.0)
+        seen = _visible(densities, None if weights is None else weights.numpy()[rows], field.voxel_size)
         points = _centers(field, step * cells[seen])
     chosen = np.random.default_rng(0).permutation(len(points))[:count]
     return points[np.sort(chosen)]
@@ -221,18 +218,21 @@ def visible_mask(field: DensityField, threshold: float | None = None) -> np.ndar
     """The nodes of a field that can be seen, (nx, ny, nz) bool, from a density per world unit on.
     threshold: None goes by the largest recorded weight, or by opacity across one voxel where none were recorded."""
     densities, voxel_size = node_grid(field)
-    weights = getattr(field, "node_weights", lambda: None)() if threshold is None else None
     if threshold is not None:
-        threshold = checked_positive(threshold, "threshold, a density,")
+        return densities >= checked_positive(threshold, "threshold, a density,")
+    weights = getattr(field, "node_weights", lambda: None)()
+    return _visible(densities, None if weights is None else np.asarray(weights), voxel_size)
+
+
+def _visible(densities: np.ndarray, weights: np.ndarray | None, voxel_size: np.ndarray) -> np.ndarray:
+    """Which nodes can be seen, by their densities and, where they were recorded, largest rendering weights."""
     if weights is not None:
-        return (np.asarray(weights) >= VISIBLE_OPACITY) & (densities > 0.0)
-    if threshold is not None:
-        return densities >= threshold
+        return (weights >= VISIBLE_OPACITY) & (densities > 0.0)
     return densities >= -np.log1p(-VISIBLE_OPACITY) / np.prod(voxel_size) ** (1.0 / 3.0)
 
 
 def _occupancy(field: DensityField) -> str:
-    """What tells the field of a selection from others: which voxels hold values, or what splats there are."""
+    """The fingerprint of the field of a selection: of which voxels hold values, or of its splats."""
     of_splats = splat_matter(field)
     if of_splats is not None:
         return of_splats.digest
@@ -249,11 +249,9 @@ def root_field(field: DensityField) -> DensityField:
 
 
 def visible_rows(field: VoxelField) -> np.ndarray:
-    """The voxels of a VoxelField that can be seen, as `visible_mask` tells them, row by row: (rows,) bool."""
-    density = field.grid.density.numpy()
-    if field.weights is not None:
-        return np.logical_and(field.weights.numpy() >= VISIBLE_OPACITY, density > 0.0)
-    return density >= -np.log1p(-VISIBLE_OPACITY) / np.prod(field.voxel_size) ** (1.0 / 3.0)
+    """`visible_mask` of a VoxelField, row by row: (rows,) bool."""
+    weights = None if field.weights is None else field.weights.numpy()
+    return _visible(field.grid.density.numpy(), weights, field.voxel_size)
 
 
 # Stands in for its field wherever densities are read: `Cage.from_field(selection)`, `extract_mesh(selection)`.
@@ -265,8 +263,8 @@ class NodeSelection:
         field: The field, a VoxelField or the like; of splats their matter on a grid.
         mask: (nx, ny, nz) bool, the chosen nodes.
         notes: A line for each part that was left out.
-        floor: Plane that the chosen nodes lie above, where they were cut off what they stand on; a cage around them
-            stays above it too. None where they were not.
+        floor: Plane above which the chosen nodes lie, where they were cut from what they stand on; cages around them
+            stay above it too. None: they were not cut.
     """
 
     field: DensityField
@@ -293,14 +291,14 @@ class NodeSelection:
         return f"NodeSelection({np.count_nonzero(self.mask)} of {self.mask.size} nodes)"
 
     def cut_out(self) -> Any:
-        """What is chosen as a field of its own, before the colour of the field that it is of.
+        """The chosen part as a field of its own, with the background colour of the whole.
 
         Returns:
             A VoxelField of the same voxels, whose box ends a voxel beyond them. Or a SplatField of the splats whose
             centre, or most of whose matter, lies in the chosen cells; those that cannot be seen are left out.
 
         Raises:
-            ValueError: If the selection is not of a VoxelField or a SplatField, or of nothing.
+            ValueError: If the selection is empty, or not of a VoxelField or a SplatField.
         """
         of_splats = splat_matter(self)
         if of_splats is not None:
@@ -308,12 +306,12 @@ class NodeSelection:
         return cut_out(self._voxels("to be cut out"), self.mask)
 
     def preview(self, camera: Camera, *, color: ArrayLike = (0.1, 0.9, 0.2), strength: float = 0.55) -> np.ndarray:
-        """A view of the field in which what is chosen is tinted, as far as it is seen.
+        """A view of the field with the chosen part tinted where it is visible.
 
         Args:
             camera: The camera.
             color: (3,) the tint, in [0, 1].
-            strength: How much of the tint there is where nothing else is seen, 0 to 1.
+            strength: Share of the tint in pixels that show the chosen part alone, 0 to 1.
 
         Returns:
             (h, w, 3) float32 in [0, 1].
@@ -325,7 +323,7 @@ class NodeSelection:
         return tinted_view(shown, self.mask, camera, color=color, strength=strength)
 
     def save(self, path: PathLike) -> None:
-        """Write a selection file, whole or not at all. It is for this field, and for no other.
+        """Write a selection file, whole or not at all. It can be loaded with this field alone.
 
         Args:
             path: The file: .npz holds packed bits, .json the lengths of runs.
@@ -350,7 +348,7 @@ class NodeSelection:
 
         Raises:
             FileNotFoundError: If there is no such file.
-            ValueError: What is wrong with the file; for the selection of another field; for an empty one.
+            ValueError: For a damaged file, a selection of another field, or an empty one.
         """
         held = load_selection(path)
         other = f"{path}: the selection is of another field"
@@ -399,7 +397,7 @@ def select_nodes(
     parts: int | None = None,
     floaters: float = 0.0,
 ) -> NodeSelection:
-    """The visible nodes of a field that belong to an object; each criterion given takes away from what is left.
+    """The visible nodes of a field that belong to an object: those that meet all given criteria.
 
     Connected means over faces, edges and corners of voxels.
 
@@ -430,20 +428,25 @@ def select_nodes(
     notes = _Notes(getattr(root_field(field), "node_name", "voxel"))
     _require_some(mask, "the field shows nothing")
     if box is not None:
-        mask = _kept(mask, _in_box(field, mask, box), notes, "outside the box")
+        low, high = checked_bounds(box, "box")
+        inside = _passing(field, mask, lambda points: ((points >= low) & (points <= high)).all(axis=1))
+        mask = _kept(mask, inside, notes, "outside the box")
     if sphere is not None:
         mask = _kept(mask, _in_sphere(field, mask, sphere), notes, "outside the sphere")
     if cage is not None:
-        mask = _kept(mask, _in_mesh(field, mask, cage), notes, "outside the cage")
+        require_type(cage, ClosedMesh, "to select what is inside takes")
+        device = getattr(field, "device", "cpu")
+        inside = _passing(field, mask, lambda points: inside_mesh(points, cage, device=device))
+        mask = _kept(mask, inside, notes, "outside the cage")
     if cameras is not None and (isinstance(cameras, str) or not isinstance(cameras, Iterable)):
         raise InputError(f"cameras must be a list of cameras, got {type(cameras).__name__}")
     cameras = None if cameras is None else list(cameras)
     if (cameras is None) != (masks is None and depth is None):
         raise InputError("cameras and masks go together, one mask per camera; so do cameras and depth")
     if cameras is not None and masks is not None:
-        cells = np.argwhere(mask)
-        inside = in_masks(_centers(field, cells), cameras, list(masks))
-        mask = _kept(mask, _scattered(mask, cells, inside), notes, "outside the masks")
+        shown = list(masks)
+        inside = _passing(field, mask, lambda points: in_masks(points, cameras, shown))
+        mask = _kept(mask, inside, notes, "outside the masks")
     if cameras is not None and depth is not None:
         where = "not shown by the views at these distances"
         mask = _kept(mask, _in_views(field, mask, cameras, depth), notes, where)
@@ -470,7 +473,7 @@ def select_nodes(
 
 
 class _Notes(list[str]):
-    """What was left out; node: what one of the field is called, a voxel, or a cell that splats are looked at in."""
+    """Notes of what was left out; node: what messages call a node, a voxel, or a cell of a grid of splats."""
 
     def __init__(self, node: str):
         super().__init__()
@@ -497,40 +500,26 @@ def _centers(field: DensityField, cells: np.ndarray) -> np.ndarray:
     return np.asarray(field.bounds, dtype=np.float64)[0] + (cells + 0.5) * np.asarray(field.voxel_size)
 
 
-def _scattered(mask: np.ndarray, cells: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """A mask of the same shape with values (n,) at nodes (n, 3)."""
-    result = np.zeros_like(mask)
-    result[tuple(cells.T)] = values
-    return result
-
-
-def _in_box(field: DensityField, mask: np.ndarray, box: ArrayLike) -> np.ndarray:
-    low, high = checked_bounds(box, "box")
+def _passing(field: DensityField, mask: np.ndarray, test: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """The nodes of a mask whose world positions pass a test, which takes (n, 3) and returns (n,) bool."""
     cells = np.argwhere(mask)
-    points = _centers(field, cells)
-    return _scattered(mask, cells, ((points >= low) & (points <= high)).all(axis=1))
+    result = np.zeros_like(mask)
+    result[tuple(cells.T)] = test(_centers(field, cells))
+    return result
 
 
 def _in_sphere(field: DensityField, mask: np.ndarray, sphere: ArrayLike) -> np.ndarray:
     values = np.asarray(sphere, np.float64) if np.shape(sphere) == (4,) else np.full(4, np.nan)
     if not (np.isfinite(values).all() and values[3] > 0.0):
         raise InputError(f"sphere must be a centre and a positive radius, four numbers, got {shown(sphere)}")
-    cells = np.argwhere(mask)
-    return _scattered(mask, cells, np.linalg.norm(_centers(field, cells) - values[:3], axis=1) <= values[3])
-
-
-def _in_mesh(field: DensityField, mask: np.ndarray, cage: ClosedMesh) -> np.ndarray:
-    require_type(cage, ClosedMesh, "to select what is inside takes")
-    cells = np.argwhere(mask)
-    return _scattered(mask, cells, inside_mesh(_centers(field, cells), cage, device=getattr(field, "device", "cpu")))
+    return _passing(field, mask, lambda points: np.linalg.norm(points - values[:3], axis=1) <= values[3])
 
 
 def _in_views(field: DensityField, mask: np.ndarray, cameras: list[Camera], depth: ArrayLike) -> np.ndarray:
     whole = root_field(field)
     if not hasattr(whole, "render"):
         raise InputError("depth needs a field that can be rendered")
-    cells = np.argwhere(mask)
-    return _scattered(mask, cells, in_depths(_centers(field, cells), cast(VoxelField, whole), cameras, depth))
+    return _passing(field, mask, lambda points: in_depths(points, cast(VoxelField, whole), cameras, depth))
 
 
 def _grown(field: DensityField, mask: np.ndarray, seed: ArrayLike, reach: float | None) -> np.ndarray:
@@ -547,7 +536,8 @@ def _grown(field: DensityField, mask: np.ndarray, seed: ArrayLike, reach: float 
             f"{distance[nearest]:.4g} away, more than {SEED_VOXELS} voxels"
         )
     if reach is not None:
-        mask = _scattered(mask, cells, distance <= max(reach, distance[nearest]))
+        mask = mask.copy()
+        mask[tuple(cells[distance > max(reach, distance[nearest])].T)] = False
     labels, _, _ = _parts(mask)
     return labels == labels[tuple(cells[nearest])]
 

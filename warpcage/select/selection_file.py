@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import checked_path
-from ..core.files import DAMAGED, PathLike, atomic_path, damage, not_a, read_json, read_npz, require_file
+from ..core.files import DAMAGED, PathLike, atomic_path, damage, not_a, read_json, require_file
+from ..core.npz import read_npz
 from ..errors import InputError
 
 #: How selection files end.
@@ -38,7 +39,7 @@ class SelectionContents:
 
 
 def occupancy_digest(occupied: np.ndarray) -> str:
-    """32 hexadecimal digits that tell a field's voxels with values, (nx, ny, nz) bool, from those of another."""
+    """32 hexadecimal digits that identify a field's voxels with values, (nx, ny, nz) bool."""
     return hashlib.blake2b(np.packbits(occupied.ravel()).tobytes(), digest_size=16).hexdigest()
 
 

@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..coordinates.harmonic import WeightGaps
+from ..coordinates.harmonic import weight_maps
 from ..core.arrays import empty_array
 from ..core.devices import HeldOnDevice, launch
 from ..core.memory import require_memory
-from ..core.names import chosen
-from ..core.reports import report_progress
-from ..kernels.splats import bind, lattice_rows, pose
+from ..core.names import coordinate_kind
+from ..core.reports import Progress, report_progress
+from ..kernels.splats import lattice_rows, pose
 from ..kernels.splats.packed_rows import PackedRows, carry_packed, pack_rows
-from ..lattice.harmonic import HarmonicSolver
-from ..lattice.lattice import CageLattice
 from ..mesh.faces import StretchTarget, column_cross, column_dot, face_edges, stretched_normals
 from ..mesh.mesh import ClosedMesh
 from .io.axes import sh_basis
@@ -34,7 +32,7 @@ class PoseFit:
     def __init__(self, rest: ClosedMesh, coordinates: str, origin: np.ndarray):
         self._origin, self._size = origin, rest.size
         self._local = rest.vertices - origin
-        self._green = chosen(coordinates, "coordinates", harmonic=False, mean_value=False, green=True)
+        self._green = coordinate_kind(coordinates).has_face_weights
         self.row_count = len(rest.vertices) + (len(rest.faces) if self._green else 0)  # r_j: by vertex; Green: by face
         used = np.ones(len(rest.vertices), dtype=bool)
         if not self._green:
@@ -107,7 +105,7 @@ def fit_similarity(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, 
 #: Points that are bound in one launch: their sums in float64 take 32 bytes a vertex.
 CHUNK = 1 << 15
 
-#: Cells along the longest side of the lattice of harmonic coordinates, where nobody asks for another number.
+#: Cells along the longest side of the lattice of harmonic coordinates, by default.
 RESOLUTION = 128
 
 
@@ -119,11 +117,12 @@ class CageBinding(HeldOnDevice):
         self,
         points: np.ndarray,  # (m, 3) world units, inside the cage, 1e-5 of its size or more from its faces
         cage: ClosedMesh,  # at rest, usable
-        coordinates: str,  # "harmonic", "mean_value" or "green"
+        coordinates: str,  # a name of `coordinate_kinds`
         origin: np.ndarray,  # (3,) world point that positions on the device are relative to
         device: wp.Device,
         resolution: int | None = None,  # harmonic only: cells of the lattice along the cage's longest side
         packed: bool | None = None,  # ten bytes an entry, gradients as half floats, instead of sixteen; None: on CUDA
+        progress: bool | Progress = False,
     ):
         self._cage, self._device = cage, device
         self._fit = PoseFit(cage, coordinates, origin)
@@ -133,10 +132,10 @@ class CageBinding(HeldOnDevice):
         pack = not device.is_cpu if packed is None else packed  # CUDA waits for memory; a CPU is slower to unpack
         count, height, corners = len(points), self._fit.row_count, len(cage.vertices)
         groups = (height + 3) // 4
-        part = min(CHUNK, count)
-        chunk = chosen(coordinates, "coordinates", harmonic=count, mean_value=part, green=part)
+        kind = coordinate_kind(coordinates)
+        chunk = min(CHUNK, count) if kind.is_closed_form else count
         need = 40 * groups * count + 16 * height * chunk if pack else 16 * height * count
-        if coordinates != "harmonic":
+        if kind.is_closed_form:
             need += 32 * corners * chunk
         require_memory(
             need,
@@ -148,13 +147,18 @@ class CageBinding(HeldOnDevice):
         self._host = np.zeros((corners + (8 * ((groups + 1) // 2) if pack else height), 3), np.float32)
         if pack:
             self.packed = PackedRows()
-            self.packed.words = empty_array(((count + 31) // 32, groups, 160), wp.uint64, device)
+            self.packed.groups = empty_array(((count + 31) // 32, groups, 160), wp.uint64, device)
             self.packed.scales = empty_array(count, wp.float32, device)
             rows = _columns(height, max(chunk, 1), wp.vec4, device)
         else:
             rows = self.rows = _columns(height, count, wp.vec4, device)
-        if coordinates == "harmonic":
-            self._bind_lattice(points, resolution or RESOLUTION, rows)
+        if not kind.is_closed_form:
+            for column, cage_map, places, spacing in weight_maps(
+                points, cage, resolution or RESOLUTION, device, progress=progress
+            ):
+                inputs = [column, 1.0 / spacing, cage_map, places]
+                launch(lattice_rows.bind_lattice, count, inputs, [rows], device=device)
+            launch(lattice_rows.settle_rows, count, [], [rows], device=device)
             self._pack(0, rows, count)
             return
         center = cage.bounds.mean(axis=0)
@@ -162,9 +166,9 @@ class CageBinding(HeldOnDevice):
         vertices = wp.array((cage.vertices - center) / cage.size, dtype=wp.vec3d, device=device)
         faces = wp.array(cage.faces, dtype=wp.vec3i, device=device)
         scratch = _columns(corners, max(chunk, 1), wp.vec4d, device)
-        kernel = chosen(coordinates, "coordinates", mean_value=bind.bind_mean_value, green=bind.bind_green)
+        kernel = kind.load("bind_points")
         for begin in range(0, count, CHUNK):
-            report_progress(begin, count, "bind splats")
+            report_progress(progress, begin, count, "bind splats")
             items = min(CHUNK, count - begin)
             into = rows if pack else rows[:, begin : begin + items]
             inputs = [local[begin : begin + items], vertices, faces, scratch]
@@ -175,23 +179,6 @@ class CageBinding(HeldOnDevice):
         """Pack rows (j, items or more) of points from `begin` on, where they are packed."""
         if self.packed is not None:
             launch(pack_rows, items, [begin, rows, self.packed], device=self._device, work=rows.shape[0])
-
-    def _bind_lattice(self, points: np.ndarray, resolution: int, rows: wp.array) -> None:
-        """Rows of harmonic coordinates."""
-        cage, device = self._cage, self._device
-        center = cage.bounds.mean(axis=0)
-        local = cage.with_vertices((cage.vertices - center) / cage.size)
-        lattice = CageLattice(local, resolution, device=device)
-        places = ((points - center) / cage.size - lattice.lower) / lattice.spacing
-        places = wp.array(places.astype(np.float32), dtype=wp.vec3, device=device)
-        solver = HarmonicSolver(lattice)
-        solver.prepare()
-        gaps = WeightGaps(solver)
-        for column, selected in solver.solve_vertices():
-            inputs = [column, 1.0 / lattice.spacing, gaps.cage_map(selected), places]
-            launch(lattice_rows.bind_lattice, len(points), inputs, [rows], device=device)
-        gaps.report()
-        launch(lattice_rows.settle_rows, len(points), [], [rows], device=device)
 
     def carry(
         self,

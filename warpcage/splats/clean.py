@@ -1,4 +1,4 @@
-"""Splats without what cannot be seen, hangs loose, is too large, or is shown by no view."""
+"""Splats without those that are invisible, detached, too large, or shown by too few views."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from ..core.locks import device_turn
 from ..core.names import counted
+from ..core.threads import device_turn
 from ..field.io.field_file import Y0
 from ..select.clean import Cleaned, CleanOptions, detached_nodes, require_left, small_cameras, unshown, went
 from ..select.selection import visible_mask
@@ -24,8 +24,8 @@ AROUND = 0.5
 
 
 def clean_splats(field: SplatField, options: CleanOptions, largest_scale: float | None = None) -> Cleaned:
-    """A field of splats without what is to go; refused where no splat that can be seen would be left.
-    largest_scale: standard deviation beyond which splats go too, world units; None for none."""
+    """A field of splats cleaned by the options; refused where no visible splat would be left.
+    largest_scale: splats with a larger standard deviation are removed too, world units; None for none."""
     seen = field.opacities >= MIN_OPACITY
     kinds: list[tuple[np.ndarray, str]] = [(~seen, "fainter than 1/255")]
     if largest_scale is not None:

@@ -22,8 +22,9 @@ from ..core.checks import (
     warn_caller,
 )
 from ..core.devices import launch
-from ..core.locks import device_turn
-from ..core.reports import Progress, is_progress_requested, report_progress, reports_progress
+from ..core.names import checked_choice
+from ..core.reports import Progress, report_progress, reports_progress
+from ..core.threads import device_turn
 from ..errors import InputError
 from ..kernels.splats import composite, composite_cpu, fit, project_slopes, tiles
 from ..kernels.splats.composite import SUMS
@@ -129,7 +130,8 @@ class SplatGradients(SplatRenderer):
     def draw(self, parameters: SplatParameters, camera: Camera, lens: Any, color: wp.vec3) -> wp.array:
         """The picture (h * w,) vec3, one ray a pixel, valid until the next one; `parameters` are refreshed before.
         lens: of `splat_lens`, of the same camera; colour: behind the splats."""
-        grid, seen = tile_grid(camera), self._project(parameters.splats, lens, parameters.splats.centers.shape[0])
+        grid = tile_grid(camera.width, camera.height)
+        seen = self._project(parameters.splats, lens, parameters.splats.centers.shape[0])
         total = self._count(grid, *seen)
         if total > MAX_ENTRIES:
             raise InputError(f"splats touch {total} tiles of a picture, at most {MAX_ENTRIES}: fit smaller pictures")
@@ -203,7 +205,7 @@ BETAS, EPSILON = (0.9, 0.999), 1e-8
 @renamed(centers="centres", colors="colours")
 @dataclasses.dataclass(frozen=True)
 class SplatRates:
-    """How far a step takes each kind of values at most, about.
+    """Learning rates: about how far one step changes each kind of values at most.
 
     Scales, rotations and opacities step as in 3DGS. Centres step less, as those of a field that is to be improved lie
     where they should already (3DGS: 1.6e-4 of the scene's size), and colours more, by measurement
@@ -216,7 +218,7 @@ class SplatRates:
         logits: Of opacities.
         colors: Of the harmonics of degree 0.
         harmonics: Of the others.
-        last: All rates fall to this share of themselves, above 0 and at most 1, exponentially, until the last step.
+        last: Share of all rates, above 0 and at most 1, that is left at the last step; they fall exponentially.
 
     Raises:
         ValueError: For rates that are negative or not finite, and another share.
@@ -233,19 +235,18 @@ class SplatRates:
     @property
     def centres(self) -> float:
         """The old name of `centers`, for one release."""
-        warn_caller("SplatRates.centres is called centers now: the next version knows that name alone")
+        warn_caller("SplatRates.centres is called centers now: the old name goes with the next version")
         return self.centers
 
     @property
     def colours(self) -> float:
         """The old name of `colors`, for one release."""
-        warn_caller("SplatRates.colours is called colors now: the next version knows that name alone")
+        warn_caller("SplatRates.colours is called colors now: the old name goes with the next version")
         return self.colors
 
     def __post_init__(self) -> None:
         for name, rate in dataclasses.asdict(self).items():
-            if checked_number(rate, f"the rate {name}") < 0.0:
-                raise InputError(f"the rate {name} must be 0 or more, got {rate!r}")
+            checked_number(rate, f"the rate {name}", 0.0)
         if not 0.0 < self.last <= 1.0:
             raise InputError(f"the share last of the rates must be above 0 and at most 1, got {self.last!r}")
 
@@ -280,19 +281,19 @@ def fit_splats(
         images: (m, h, w, 3) colours in [0, 1], or a sequence of (h, w, 3); transparent ones composited over the
             background.
         steps: Pictures that are drawn, in random order, each as often as the others.
-        loss: What differences of colours count by: "l2", their squares, for a high PSNR, or "l1", as 3DGS has it (here
-            without its structural term).
+        loss: Of colour differences: "l2", their squares, for a high PSNR, or "l1", as 3DGS has it (here without its
+            structural term).
         supersampling: Rays along each side of a pixel, 1 to 8.
         antialias: Weaken splats that the blur of the picture makes larger (Mip-Splatting). The fitted field is drawn in
             the same way. None is the field's own.
         blur: Variance by which pictures are blurred, pixels squared.
         background: Colour behind the splats, a name or (3,) in [0, 1]. None is the field's own.
         growth: How many times as large as at first, along each of its axes, a splat may become, 1 or more; fields that
-            are to be posed want splats that stay at their place. None sets no limit.
-        rates: Of the steps. None is SplatRates().
-        seed: Of the order of pictures.
-        progress: True shows a bar with the PSNR of the last picture on stderr. A function is told (done, total, words),
-            in steps, and ends the work by returning False or by raising.
+            are to be posed need splats that stay at their place. None sets no limit.
+        rates: Learning rates. None is SplatRates().
+        seed: Seed of the order of pictures.
+        progress: True shows a bar with the PSNR of the last picture on stderr. A function is called with
+            (done, total, message), in steps, and cancels by returning False or raising.
 
     Returns:
         The fitted field, on the device of the first one, with what else its file says.
@@ -308,8 +309,7 @@ def fit_splats(
     cameras, pictures = checked_pictures(cameras, images)
     if not len(field):
         raise InputError("a field without splats cannot be fitted: give it some to begin with")
-    if loss not in LOSSES:
-        raise InputError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
+    checked_choice(loss, "loss", tuple(LOSSES))
     steps = checked_whole(steps, "steps", 1)
     rates = SplatRates() if rates is None else rates
     require_type(rates, SplatRates, "rates must be")
@@ -323,28 +323,21 @@ def fit_splats(
         blur=checked_positive(blur, "blur"),
         antialias=field.antialias if antialias is None else checked_flag(antialias, "antialias"),
         background=field.background if background is None else parse_background(background),
-        growth=math.inf if growth is None else checked_growth(growth),
+        growth=math.inf if growth is None else checked_number(growth, "growth", 1.0),
         rates=rates,
         seed=checked_whole(seed, "seed", 0),
     )
-    words = "fit splats"
+    message = "fit splats"
     for step in range(steps):
-        report_progress(step, steps, words)
+        report_progress(progress, step, steps, message)
         optimizer.step()
-        if is_progress_requested() and step % SHOWN_EVERY == 0:
-            words = f"fit splats: {-10.0 * np.log10(max(optimizer.mean_error(), 1e-20)):.2f} dB"
-    report_progress(steps, steps, words)
+        if progress and step % SHOWN_EVERY == 0:
+            message = f"fit splats: {-10.0 * np.log10(max(optimizer.mean_error(), 1e-20)):.2f} dB"
+    report_progress(progress, steps, steps, message)
     try:
         return optimizer.to_field()
     except ValueError as error:
         raise InputError(f"the fit left the range of float32, with smaller rates it stays there: {error}") from error
-
-
-def checked_growth(growth: float) -> float:
-    """How many times as large a splat may become, 1 or more."""
-    if checked_positive(growth, "growth") < 1.0:
-        raise InputError(f"growth must be 1 or more times the size at first, got {growth}")
-    return float(growth)
 
 
 def checked_pictures(
@@ -375,7 +368,7 @@ def checked_pictures(
 def _as_picture(number: int, image: ArrayLike) -> np.ndarray:
     """A picture in float32."""
     try:
-        with np.errstate(over="ignore"):  # what float32 cannot hold is told as not finite
+        with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, which is checked
             return np.asarray(image, np.float32)
     except (TypeError, ValueError) as error:
         raise InputError(f"picture {number} must be (h, w, 3) numbers, got {type(image).__name__}") from error

@@ -1,4 +1,4 @@
-"""Where the matter of splats lies: densities on a grid, which are in nodes of it, where a ray meets them."""
+"""The matter of splats: densities on a grid, splats in its nodes, and where a ray meets them."""
 
 from __future__ import annotations
 
@@ -98,13 +98,6 @@ def finest_side(log_scales: np.ndarray) -> float:
     return FINEST_SHARE * float(np.exp(np.median(log_scales.astype(np.float64).max(axis=1))))
 
 
-def splat_digest(centers: np.ndarray, logits: np.ndarray) -> str:
-    """32 hexadecimal digits of centers (n, 3) and opacities as logits (n,), which tell a field from others."""
-    hashed = hashlib.blake2b(np.ascontiguousarray(centers, np.float32).tobytes(), digest_size=16)
-    hashed.update(np.ascontiguousarray(logits, np.float32).tobytes())
-    return hashed.hexdigest()
-
-
 def whole_voxels(box: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray]:
     """A box (2, 3) made larger about its middle to whole cubes, two or more along each axis, and (3,) the side of a
     cube. resolution: cubes along the longest side of the box."""
@@ -114,7 +107,7 @@ def whole_voxels(box: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarr
     return np.stack([middle - 0.5 * side * shape, middle + 0.5 * side * shape]), np.full(3, side)
 
 
-#: Nodes along the longest side of a grid where nobody asks for another number, and at most.
+#: Nodes along the longest side of a grid by default, and at most.
 RESOLUTION, MAX_RESOLUTION = 128, 1024
 
 #: What messages call a node of a grid of splats.
@@ -190,6 +183,7 @@ class SplatDensity:
 
     @property
     def digest(self) -> str:
-        """32 hexadecimal digits that tell the splats from others, on any device."""
+        """32 hexadecimal digits that identify the splats, on any device."""
         held = self.field.contents
-        return splat_digest(held.centers, held.logits)
+        parts = [np.ascontiguousarray(each, np.float32).tobytes() for each in (held.centers, held.logits)]
+        return hashlib.blake2b(b"".join(parts), digest_size=16).hexdigest()

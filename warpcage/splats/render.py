@@ -10,16 +10,16 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import WarpStruct
-from ..core.checks import checked_flag, require_type
+from ..core.checks import require_type
 from ..core.devices import SpareMemory, launch, resolve_device
-from ..core.locks import owner_lock
 from ..core.modules import Kernel
+from ..core.threads import owner_lock
 from ..errors import InputError
-from ..field.render import picture_arrays
+from ..field.render import NEW_TARGET, RenderOptions, RenderTarget, picture_arrays
 from ..kernels.splats import composite, composite_cpu, project, tiles
 from ..lattice.buffers import BufferPool
 from ..view.camera import Camera, camera_struct
-from ..view.frame import PART_NAMES, Frame, average_frame, checked_supersampling, finer_camera, view_background
+from ..view.frame import PART_NAMES, Frame, average_frame, checked_supersampling, finer_camera
 
 #: A pixel ends where less than this share of the light is left.
 STOP_TRANSMITTANCE = 1e-4
@@ -79,7 +79,7 @@ class SplatRenderer:
             seen = self._project(splats, lens, splats.centers.shape[0])
             self.entry_count = 0
             inputs = [wp.vec3(*map(float, color)), STOP_TRANSMITTANCE]
-            self._draw(tile_grid(fine), seen, inputs, [arrays[name] for name in PART_NAMES])
+            self._draw(tile_grid(fine.width, fine.height), seen, inputs, [arrays[name] for name in PART_NAMES])
             return average_frame(Frame(fine.width, fine.height, **arrays), side, into)
 
     def _project(
@@ -151,25 +151,23 @@ def render_field(
     field: Any,  # the SplatField
     splats: WarpStruct,  # what is drawn: its own splats, or a pose of them
     camera: Camera,
-    background: str | ArrayLike | None,
-    supersampling: int | None,
-    antialias: bool | None,
-    into: dict[str, wp.array] | None = None,
+    options: RenderOptions,
+    target: RenderTarget = NEW_TARGET,
 ) -> Frame:
     """The view of a camera as `SplatField.render` has it."""
     require_type(camera, Camera, "render needs")
-    color = field.background if background is None else view_background(background)
+    color = options.color(field.background)
     frame = field.renderer.render(
         splats,
         camera,
         color=color,
         origin=field.center,
         near=field.near,
-        supersampling=1 if supersampling is None else supersampling,
-        antialias=field.antialias if antialias is None else checked_flag(antialias, "antialias"),
-        into=into,
+        supersampling=options.side(1),
+        antialias=field.antialias if options.antialias is None else bool(options.antialias),
+        into=target.arrays,
     )
-    return frame.seen_by(camera, color, background)
+    return frame.seen_by(camera, color, options.background)
 
 
 def near_distance(centers: np.ndarray) -> float:
@@ -190,11 +188,11 @@ def splat_lens(camera: Camera, origin: ArrayLike, near: float, blur: float, anti
     return lens
 
 
-def tile_grid(camera: Camera) -> Any:
-    """The tiles of a camera's picture: a TileGrid of kernels/splats/tiles.py."""
+def tile_grid(width: int, height: int) -> Any:
+    """The tiles of a picture: a TileGrid of kernels/splats/tiles.py."""
     grid = tiles.TileGrid()
-    grid.columns, grid.rows = -(-camera.width // tiles.TILE_SIDE), -(-camera.height // tiles.TILE_SIDE)
-    grid.width, grid.height = camera.width, camera.height
+    grid.columns, grid.rows = -(-width // tiles.TILE_SIDE), -(-height // tiles.TILE_SIDE)
+    grid.width, grid.height = width, height
     return grid
 
 

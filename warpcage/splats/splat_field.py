@@ -17,12 +17,13 @@ from ..core.arrays import as_host_array, empty_array
 from ..core.checks import checked_bounds, checked_direction, checked_flag, checked_vector, real_array, renamed
 from ..core.devices import HeldOnDevice, resolve_device
 from ..core.files import PathLike, begins_as_archive, kind_seen, require_file
-from ..core.locks import in_turn
 from ..core.names import counted
 from ..core.reports import Progress, report_progress, reports_progress
+from ..core.threads import in_turn
 from ..errors import InputError
 from ..field.io import load_field as load_voxels
 from ..field.io.field_file import Y0, FieldContents
+from ..field.render import RenderOptions
 from ..field.voxel_field import VoxelField
 from ..kernels.splats.splats import Splats
 from ..view.camera import Camera
@@ -47,7 +48,7 @@ class SplatField(HeldOnDevice):
 
     Opacity o exp(-1/2 (x - c)^T S^-1 (x - c)), S = R diag(s^2) R^T, colour max(0, 0.5 + SH . Y(d)), d from the camera
     into the scene. Values are held as files have them (logarithms of scales, logits of opacities, quaternions of any
-    length), so that loading and saving a .ply keeps every bit, and properties that nobody here knows.
+    length), so that loading and saving a .ply keeps every bit, and properties that warpcage does not know.
 
     References: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023).
 
@@ -57,10 +58,10 @@ class SplatField(HeldOnDevice):
         quaternions: (n, 4) w x y z, rotations of those axes, of any length. One of length zero turns nothing.
         logits: (n,) or (n, 1) logarithms of opacity / (1 - opacity).
         harmonics: (n, b, 3) coefficients in red, green and blue; b = 1, 4, 9 or 16.
-        layout: The PLY file that the splats come from, for what else is in it. None is the usual layout.
+        layout: Layout of the PLY file that the splats come from, with its other properties. None is that of 3DGS.
         background: Colour behind the splats, a name or (3,) in [0, 1].
-        up: (3,) what is up in the world, for views of it, of any length but zero.
-        antialias: Whether the splats were fitted with what `render` calls by this name, which is its default then.
+        up: (3,) up direction of the world, of any length but zero.
+        antialias: Whether the splats were fitted with antialiasing: the default of `render`.
         device: Warp device. None is CUDA where there is one.
 
     Raises:
@@ -72,7 +73,7 @@ class SplatField(HeldOnDevice):
         contents: The values as files have them. They are not to be written to.
         background: (3,) float32 colour behind the splats.
         up: (3,) float64 unit vector.
-        antialias: Whether views are antialiased where nobody says otherwise. Files of .spz and .sog tell.
+        antialias: Whether views are antialiased by default. Files of .spz and .sog say so.
         device: Warp device.
     """
 
@@ -133,12 +134,13 @@ class SplatField(HeldOnDevice):
 
         Args:
             path: A .ply of 3DGS, a .compressed.ply of SuperSplat, a .splat, .spz, .ksplat, .sog, .glb or .gltf, or a
-                folder of SOG, which has a meta.json; and what other packages registered. Or an output folder of 3D
-                Gaussian Splatting, of which the newest iteration is read, with the background of its fit.
-            activated: Of .ply files: whether they have opacities and scales instead of logits and logarithms. None
-                finds out from their ranges, and says so in a warning where they have.
+                folder of SOG, which has a meta.json; or a format that another package registered. Or an output folder
+                of 3D Gaussian Splatting: its newest iteration is read, with the background of its fit.
+            activated: For .ply files: whether they have opacities and scales instead of logits and logarithms. None
+                decides by their ranges, and warns where they have.
             device: Warp device. None is CUDA where there is one.
-            progress: True shows a bar on stderr. A function is told (done, total, words) and ends the work by False.
+            progress: True shows a bar on stderr. A function is called with (done, total, message) and cancels
+                by returning False.
 
         Returns:
             The field.
@@ -151,11 +153,11 @@ class SplatField(HeldOnDevice):
         """
         if activated is not None:
             checked_flag(activated, "activated")
-        report_progress(0, 2, "splats: their file")
+        report_progress(progress, 0, 2, "splats: their file")
         contents = read_splats(path, activated=activated)
-        report_progress(1, 2, "splats: their tables")
+        report_progress(progress, 1, 2, "splats: their tables")
         field = cls.from_contents(contents, device=device, **own_background(path))
-        report_progress(2, 2, "splats: their tables")
+        report_progress(progress, 2, 2, "splats: their tables")
         return field
 
     @classmethod
@@ -334,7 +336,7 @@ class SplatField(HeldOnDevice):
             The densities, with `bounds`, `voxel_size` and `node_densities` as of a field.
 
         Raises:
-            ValueError: For a box or a number that makes no sense.
+            ValueError: For a box or a resolution out of range.
         """
         if bounds is not None or resolution != RESOLUTION:
             return SplatDensity(self, resolution, bounds)
@@ -343,7 +345,7 @@ class SplatField(HeldOnDevice):
         return self._density
 
     def finest_cell(self, bounds: ArrayLike) -> float:
-        """The smallest side of a cell at which the splats in a box still hang together.
+        """The smallest cell size at which the splats in a box still form connected matter.
 
         Args:
             bounds: (2, 3) the box, world units.
@@ -352,14 +354,14 @@ class SplatField(HeldOnDevice):
             The side, world units; 0 for a box without splats that can be seen.
 
         Raises:
-            ValueError: For a box that makes no sense.
+            ValueError: For a box whose corners are not ordered and finite.
         """
         (low, high), places = checked_bounds(bounds), self.contents.centers
         inside = ((places >= low) & (places <= high)).all(axis=1)
         return finest_side(self.contents.log_scales[inside & (self.opacities >= MIN_OPACITY)])
 
     def distance_seen(self, origin: ArrayLike, direction: ArrayLike, spread: float = 0.0) -> float:
-        """How far along a ray half of its light is gone.
+        """The distance along a ray at which half of its light is absorbed.
 
         Args:
             origin: (3,) where the ray begins, world units.
@@ -377,7 +379,7 @@ class SplatField(HeldOnDevice):
         return half_light(places, self.covariances, self.opacities, start, along, spread, self.near)
 
     def painted(self, rows: np.ndarray) -> SplatField:
-        """The same matter, white where it is chosen and black elsewhere: views are the chosen share of the light.
+        """The same matter, chosen splats white and others black: views show the chosen share of the light.
 
         Args:
             rows: (n,) bool, the chosen splats.
@@ -478,7 +480,7 @@ class SplatField(HeldOnDevice):
         Raises:
             ValueError: For a background that is not known, or supersampling out of range.
         """
-        return render_field(self, self.splats, camera, background, supersampling, antialias)
+        return render_field(self, self.splats, camera, RenderOptions(background, supersampling, antialias))
 
     @functools.cached_property
     def renderer(self) -> SplatRenderer:
@@ -491,7 +493,7 @@ class SplatField(HeldOnDevice):
         return near_distance(self.contents.centers)
 
     def view_options(self) -> dict[str, Any]:
-        """What views of the field depend on besides its splats, by the constructor's names."""
+        """The constructor's arguments that views depend on besides the splats."""
         return {"background": self.background, "up": self.up, "antialias": self.antialias}
 
     def __len__(self) -> int:
@@ -507,7 +509,7 @@ AnyField: TypeAlias = VoxelField | SplatField
 
 
 def load_field(path: PathLike, *, scene_scale: float = 1.0, device: wp.DeviceLike = None) -> AnyField:
-    """Read a field of voxels or of splats, which the ending tells; scene_scale as for `VoxelField.load`."""
+    """Read a field of voxels or of splats, by the ending; scene_scale as for `VoxelField.load`."""
     return read_field(path, scene_scale=scene_scale)(device)
 
 
@@ -542,5 +544,5 @@ def _voxels_of(contents: FieldContents, path: PathLike, device: wp.DeviceLike) -
 
 
 def field_size(field: AnyField) -> str:
-    """How large a field is, in words such as "12000 voxels"."""
+    """How large a field is, such as "12000 voxels"."""
     return counted(len(field), "splat") if isinstance(field, SplatField) else counted(field.voxel_count, "voxel")

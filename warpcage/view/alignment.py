@@ -1,4 +1,4 @@
-"""Two sets of cameras of the same pictures: similarities between them, and where others go along with them."""
+"""Two sets of cameras of the same pictures: similarities between them, and how others move along with them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Similarity:
     shift: np.ndarray
 
     def moved(self, cameras: Sequence[Camera]) -> list[Camera]:
-        """Cameras that see of the moved world what these see of theirs."""
+        """Cameras that see the moved world as these see theirs."""
         poses = self.moved_poses(np.array([camera.camera_to_world for camera in cameras]).reshape(-1, 4, 4))
         return [dataclasses.replace(camera, camera_to_world=pose) for camera, pose in zip(cameras, poses, strict=True)]
 
@@ -148,7 +148,7 @@ def pose_changes(poses: np.ndarray, targets: np.ndarray) -> np.ndarray:
     return np.concatenate([turns, shifts], axis=1)
 
 
-#: Cameras near another one that tell where it goes.
+#: Cameras near another one that its motion is taken from.
 NEIGHBORS = 6
 
 #: Two poses are one where their axes differ by no more, and their places by no more of the cameras' spread.

@@ -26,7 +26,7 @@ from ..core.checks import (
     warn_caller,
 )
 from ..core.files import PathLike, errors_of, require_file
-from ..core.names import LOOPS, Easing, picture_stem, require_name
+from ..core.names import LOOPS, Easing, checked_choice, picture_stem
 from ..errors import InputError
 from ..kernels.view.rays import TILE_HEIGHT, TILE_SIZE, TILE_WIDTH, PinholeCamera
 from .camera_file import CAMERA_NUMBERS, read_camera_document, write_camera_document
@@ -170,7 +170,7 @@ class Camera:
     @property
     def centre(self) -> np.ndarray:
         """The old name of `center`, for one release."""
-        warn_caller("Camera.centre is called center now: the next version knows that name alone")
+        warn_caller("Camera.centre is called center now: the old name goes with the next version")
         return self.center
 
     @property
@@ -315,7 +315,7 @@ def framing_orbit(
     height: int = 400,
     fill: float = 0.92,
 ) -> list[Camera]:
-    """Cameras on a circle, as in `turntable`, around points (n, 3), as near as keeps every point in every picture.
+    """Cameras on a circle, as in `turntable`, around points (n, 3), as near as possible with all points in view.
     `fill`: share of the picture's width or height that the points may take."""
     host = as_host_points(points)
     if not len(host):
@@ -357,13 +357,13 @@ def rigid_motion(matrix: ArrayLike, name: str = "a rigid motion") -> np.ndarray:
 
 
 def common_up(cameras: Sequence[Camera]) -> np.ndarray:
-    """Up in the world as cameras were held, a unit vector (3,)."""
+    """The common up direction of cameras in the world, a unit vector (3,)."""
     mean = -np.mean([camera.rotation[:, 1] for camera in cameras], axis=0)
     length = np.linalg.norm(mean)
     if length < 1e-3:
         return np.array([0.0, 0.0, 1.0])
     mean /= length
-    # Normal to the sideward axes of all, as level cameras have it; where that says too little, the mean upward axis.
+    # Normal to the sideward axes of all, as for level cameras; where these do not determine it, the mean upward axis.
     sideward = np.stack([camera.rotation[:, 0] for camera in cameras])
     variances, axes = np.linalg.eigh(sideward.T @ sideward / len(sideward))  # ascending
     across = axes[:, 0] * np.sign(axes[:, 0] @ mean)
@@ -403,11 +403,11 @@ class CameraKey:
 
     Args:
         camera: The camera.
-        time: When it is reached, seconds from the film's start. None leaves it open.
+        time: Seconds from the film's start. None leaves it open.
         name: A name, empty for none.
-        easing: How the way to the next key goes: "smooth", "linear", "hold", "ease-in", "ease-out", "ease-in-out",
+        easing: Interpolation to the next key: "smooth", "linear", "hold", "ease-in", "ease-out", "ease-in-out",
             "bounce", "elastic", or {"bezier": [x1, y1, x2, y2]} as CSS has it.
-        target: (3,) the point ahead that the camera turns about, world units. None takes what all keys look at.
+        target: (3,) the point ahead that the camera orbits, world units. None takes what all keys look at.
 
     Raises:
         ValueError: For a time that is not a finite number from 0 on, another easing, or a target that is none.
@@ -448,7 +448,7 @@ class CameraFile(list[CameraKey]):
         super().__init__(key if isinstance(key, CameraKey) else CameraKey(key) for key in keys)
         self.fps = None if fps is None else checked_positive(fps, "the rate of a camera file")
         if loop is not None:
-            require_name(loop, LOOPS, "loop")
+            checked_choice(loop, "loop", LOOPS)
         self.loop = loop
 
     def path(self, name: str = "") -> list[CameraKey]:

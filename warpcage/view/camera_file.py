@@ -1,4 +1,4 @@
-"""Files of cameras as plain entries: JSON of our own and of other programs, and glTF as Blender exports it."""
+"""Files of cameras as plain entries: JSON of warpcage and of other programs, and glTF as Blender exports it."""
 
 from __future__ import annotations
 
@@ -107,19 +107,19 @@ def _focal(degrees: Any, side: float, name: str) -> float:
 
 def _splatting_entry(entry: dict[str, Any]) -> dict[str, Any]:
     """A camera of cameras.json of 3D Gaussian Splatting (Kerbl et al. 2023): OpenCV's axes, camera to world.
-    It looks through the middle of its picture, where cx and cy of other versions do not say otherwise."""
+    The principal point is the middle of the picture unless the file has cx and cy."""
     width, height = entry["width"], entry["height"]
     pose = np.eye(4)
     pose[:3, :3] = _numbers(entry["rotation"], (3, 3), "rotation of a camera")
     pose[:3, 3] = checked_vector(entry["position"], "position of a camera")
-    own = {name: entry.get(name, side / 2) for name, side in (("cx", width), ("cy", height))}
+    center = {name: entry.get(name, side / 2) for name, side in (("cx", width), ("cy", height))}
     sizes = {"fx": entry["fx"], "fy": entry["fy"], "width": width, "height": height}
-    return {"name": str(entry.get("img_name", "")), **sizes, **own, "camera_to_world": pose}
+    return {"name": str(entry.get("img_name", "")), **sizes, **center, "camera_to_world": pose}
 
 
 def _nerfstudio_path(content: dict[str, Any]) -> dict[str, Any]:
     """Frames of camera_path.json of nerfstudio (Tancik et al. 2023), in the world of its fields: cameras look along -z
-    with +y up, the field of view is that of the height. What stands in its keyframes is in its frames too."""
+    with +y up, the field of view is that of the height. Its keyframes repeat what is in its frames."""
     kind = content.get("camera_type", "perspective")
     if kind != "perspective":
         raise InputError(f"its camera_type {shown(kind)} is not read, only perspective")
@@ -138,7 +138,7 @@ def _nerfstudio_path(content: dict[str, Any]) -> dict[str, Any]:
 #: SuperSplat shows .ply files turned by half a turn about z, y up.
 _FROM_SUPERSPLAT = np.array([-1.0, -1.0, 1.0])
 
-#: Degrees of view that SuperSplat's editor and its viewer take where a file says none, and frames in a second.
+#: Default field of view of SuperSplat's editor and its viewer, degrees, and frames per second.
 _EDITOR_FOV, _VIEWER_FOV, _SUPERSPLAT_FPS = 60.0, 85.0, 30.0
 
 _LOOPS = {"none": "once", "repeat": "loop", "pingpong": "ping-pong"}
@@ -146,14 +146,14 @@ _LOOPS = {"none": "once", "repeat": "loop", "pingpong": "ping-pong"}
 
 def _supersplat_path(content: dict[str, Any], size: tuple[int, int]) -> dict[str, Any]:
     """Keys of SuperSplat, of settings.json of its viewer or document.json of a project, in coordinates of the .ply."""
-    own = (content.get("cameras") or [{"initial": content.get("camera") or {}}])[0]["initial"]  # the still camera
+    initial = (content.get("cameras") or [{"initial": content.get("camera") or {}}])[0]["initial"]  # the still camera
     if "poseSets" in content:
-        return _supersplat_poses(content, own.get("fov") or _EDITOR_FOV, size)
-    usual = own.get("fov") or _VIEWER_FOV
+        return _supersplat_poses(content, initial.get("fov") or _EDITOR_FOV, size)
+    default = initial.get("fov") or _VIEWER_FOV
     tracks = content["animTracks"] or []
-    if not tracks and "position" in own:
-        return {"cameras": [_supersplat_view(own["position"], own["target"], usual, size)]}
-    entries = [entry for track in _some(tracks, "animTracks") for entry in _supersplat_track(track, usual, size)]
+    if not tracks and "position" in initial:
+        return {"cameras": [_supersplat_view(initial["position"], initial["target"], default, size)]}
+    entries = [entry for track in _some(tracks, "animTracks") for entry in _supersplat_track(track, default, size)]
     return {
         "cameras": entries,
         "fps": tracks[0].get("frameRate") or _SUPERSPLAT_FPS,
@@ -161,24 +161,24 @@ def _supersplat_path(content: dict[str, Any], size: tuple[int, int]) -> dict[str
     }
 
 
-def _supersplat_poses(content: dict[str, Any], usual: Any, size: tuple[int, int]) -> dict[str, Any]:
-    """Keys of the editor; usual: the field of view of those that say none."""
+def _supersplat_poses(content: dict[str, Any], default: Any, size: tuple[int, int]) -> dict[str, Any]:
+    """Keys of the editor; default: the field of view of keys without one."""
     timeline = content.get("timeline") or {}
     fps = checked_positive(timeline.get("frameRate", _SUPERSPLAT_FPS), "frameRate")
     easing, entries = "smooth" if timeline.get("smoothness", 1) else "linear", []
     for index, pose in enumerate(_some(_some(content["poseSets"], "poseSets")[0]["poses"], "poses")):
         time = checked_number(pose.get("frame", index * fps), "frame of a pose") / fps
-        view = _supersplat_view(pose["position"], pose["target"], pose.get("fov") or usual, size)
+        view = _supersplat_view(pose["position"], pose["target"], pose.get("fov") or default, size)
         entries.append({"name": str(pose.get("name", "")), "time": time, "easing": easing, **view})
     return {"cameras": entries, "fps": fps}
 
 
-def _supersplat_track(track: dict[str, Any], usual: Any, size: tuple[int, int]) -> list[dict[str, Any]]:
+def _supersplat_track(track: dict[str, Any], default: Any, size: tuple[int, int]) -> list[dict[str, Any]]:
     """Keys of a track of the viewer, whose times are frames, or seconds where it has no rate."""
     rate = checked_positive(track["frameRate"], "frameRate") if track.get("frameRate") else 1.0
     times, values = _some(track["keyframes"]["times"], "times"), track["keyframes"]["values"]
     places, targets = (_numbers(values[name], (len(times), 3), name) for name in ("position", "target"))
-    fovs = _numbers(values.get("fov") or [usual] * len(times), (len(times),), "fov")
+    fovs = _numbers(values.get("fov") or [default] * len(times), (len(times),), "fov")
     easing = "smooth" if track.get("smoothness", 0) else "linear"
     easing = "hold" if track.get("interpolation") == "step" else easing
     return [
@@ -230,7 +230,7 @@ def _read_gltf_entries(path: pathlib.Path, size: tuple[int, int] | None) -> list
             if not moving:
                 entries.append({"name": name, **lens, "camera_to_world": _pose(at_rest[node])})
                 continue
-            # A camera that an animation moves, itself or through what it hangs on, becomes keys at the animation's
+            # A camera that an animation moves, itself or through an ancestor, becomes keys at the animation's
             # frames, straight between: what a program wrote for each frame comes back frame for frame.
             keys = np.unique(np.concatenate([each.times for each in moving]))
             times, rate = frames_of(keys)
@@ -266,7 +266,7 @@ def _lens(entry: dict, size: tuple[int, int] | None) -> dict[str, float]:
 
 
 def _channels(document: dict, buffers: list[bytes]) -> list[Channel]:
-    """What animations change of the places of nodes. Where several move one, the first does."""
+    """Channels of animations that move nodes; of several for one node the first."""
     found: dict[tuple[int, str], Channel] = {}
     for animation in document.get("animations", []):
         for channel in animation["channels"]:
@@ -278,7 +278,7 @@ def _channels(document: dict, buffers: list[bytes]) -> list[Channel]:
 
 
 def _above(document: dict, node: int) -> set[int]:
-    """A node and all that it hangs on."""
+    """A node and its ancestors."""
     parents = {
         child: index for index, each in enumerate(document.get("nodes", [])) for child in each.get("children", [])
     }
@@ -290,6 +290,6 @@ def _above(document: dict, node: int) -> set[int]:
 
 
 def _name(document: dict, node: int) -> str:
-    """The name of a camera's node, or of the camera: programs hang cameras on nodes of their own without a name."""
-    own = document["nodes"][node]
-    return str(own.get("name") or document["cameras"][own["camera"]].get("name") or f"camera {node}")
+    """The name of a camera's node, or of the camera where a program gave it an unnamed node."""
+    entry = document["nodes"][node]
+    return str(entry.get("name") or document["cameras"][entry["camera"]].get("name") or f"camera {node}")

@@ -38,13 +38,13 @@ def linear_light(colors: ArrayLike) -> np.ndarray:
 
 
 def screen_colors(light: np.ndarray) -> np.ndarray:
-    """Colours of a screen of light from 0 on: what `linear_light` undoes."""
+    """sRGB colours of linear light from 0 on, the inverse of `linear_light`."""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 def mean_picture(pictures: Sequence[np.ndarray]) -> np.ndarray:
-    """The mean of pictures (h, w, 3), or (h, w, 4) with straight colours, of light as a shutter gathers it.
-    Each pixel counts by its opacity; what all of them share stays as it is."""
+    """The mean of pictures (h, w, 3), or (h, w, 4) with straight colours, in linear light, as a shutter gathers it.
+    Pixels are weighted by opacity; values that all pictures share are kept to the bit."""
     first = pictures[0]
     light = [linear_light(picture[..., :3]) for picture in pictures]
     if first.shape[-1] == 4:

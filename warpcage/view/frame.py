@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import numbers
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, overload
@@ -17,8 +16,8 @@ from ..core.arrays import HostCopy, array_view, as_given, empty_array
 from ..core.checks import checked_path, checked_whole, real_array, shown
 from ..core.devices import launch
 from ..core.files import atomic_path
-from ..core.locks import device_turn
 from ..core.names import BACKGROUNDS, TRANSPARENT
+from ..core.threads import device_turn
 from ..errors import InputError
 from ..kernels.view import pictures
 from .camera import Camera
@@ -34,10 +33,10 @@ MASK_NAMES = ("reveal", "fold", "outside")
 #: What `Frame.begin_copies` calls `Frame.rgb_bytes`.
 RGB_BYTES = "rgb_bytes"
 
-#: Masks of frames that were worked on after they were rendered.
+#: Masks that are made after rendering.
 LATER_MASKS = ("filled",)
 
-#: What frames have where it is asked for; see the properties.
+#: Optional outputs of frames; see the properties.
 OUTPUT_NAMES = ("canonical", "flow", "instance")
 
 #: Types of a pixel's value that are not float32.
@@ -61,8 +60,8 @@ class Frame:
         rgb: (h * w,) wp.vec3, or anything that reshapes to (h, w, 3), composited over the background.
         alpha: (h * w,) opacity in [0, 1].
         depth: (h * w,) expected distance along the ray, world units, inf where nothing is seen.
-        masks: Masks of a deformed frame by name, (h * w,) each: reveal, fold, outside, filled; and what was asked for
-            beside them, canonical, flow and instance (see the properties).
+        masks: Masks of a deformed frame by name, (h * w,) each: reveal, fold, outside, filled; and the optional
+            outputs canonical, flow and instance (see the properties).
 
     Raises:
         ValueError: For sizes that do not fit, or a mask that does not exist.
@@ -115,11 +114,11 @@ class Frame:
         return png_bytes(self.rgba if self.transparent else self.rgb_bytes)
 
     def _view(self) -> dict[str, Any]:
-        """How the frame was seen."""
+        """Camera and background, by the names of the attributes."""
         return {name: getattr(self, name) for name in ("camera", "background", "transparent", "layered")}
 
     def like(self, other: Frame) -> Frame:
-        """This frame, seen as another one was: it is made of that.
+        """Take camera and background of the frame that this one was made from.
 
         Args:
             other: The other frame.
@@ -131,12 +130,12 @@ class Frame:
         return self
 
     def seen_by(self, camera: Camera, color: np.ndarray | None, background: Any) -> Frame:
-        """This frame, with what renderers know of it.
+        """Set camera and background, as renderers do.
 
         Args:
             camera: The camera.
             color: (3,) behind the frame, None for a model of a scene.
-            background: What the caller asked for.
+            background: The option `background` of the renderer.
 
         Returns:
             This frame.
@@ -241,10 +240,10 @@ class Frame:
 
     @property
     def missing(self) -> np.ndarray | None:
-        """(h, w) float32 in [0, 1], how much of the pixel was uncovered and shows what no camera may have seen.
+        """(h, w) float32 in [0, 1], how much of the pixel shows what an edit uncovered and no camera may have seen.
 
-        It is `reveal`, less what was filled, and less what shows a background of one colour: there nothing was hidden.
-        None for a plain field.
+        It is `reveal` without what was filled in, and without a background of one colour, which hides nothing. None
+        for a plain field.
         """
         if self.reveal is None:
             return None
@@ -253,7 +252,7 @@ class Frame:
 
     @property
     def filled(self) -> np.ndarray | None:
-        """(h, w) float32 in [0, 1], how much of the pixel is made up, by `fill_unseen`. None where nobody asked."""
+        """(h, w) float32 in [0, 1], how much of the pixel is filled in by `fill_unseen`. None without it."""
         return self._mask("filled")
 
     @property
@@ -274,27 +273,27 @@ class Frame:
 
     @property
     def canonical(self) -> np.ndarray | None:
-        """(h, w, 3) float32 where what is at `depth` in each pixel is in the scene at rest, world units.
+        """(h, w, 3) float32 position in the scene at rest of the surface point at `depth`, world units.
 
-        It is `to_canonical` of the middle of the pixel's ray at that distance; NaN where nothing is seen, or where
-        nothing is at that distance, as between two surfaces. None where it was not asked for.
+        It is `to_canonical` of the point at that distance on the ray through the pixel's centre; NaN where nothing is
+        seen, or where nothing is at that distance, as between two surfaces. None where it was not requested.
         """
         return self._mask("canonical")
 
     @property
     def flow(self) -> np.ndarray | None:
-        """(h, w, 2) float32 how far it is, in columns and rows, to where another view shows what is at `depth`.
+        """(h, w, 2) float32 optical flow, columns and rows, to where another view shows the surface point at `depth`.
 
-        Pixels, from the middle of each. NaN where nothing is seen, or where the other pose shows that matter nowhere,
-        or behind the camera. What hides it there is not asked. None where it was not asked for.
+        Pixels, from the centre of each. NaN where nothing is seen, or where the point is cleared in the other pose or
+        behind its camera. Occlusion in the other view is ignored. None where it was not requested.
         """
         return self._mask("flow")
 
     @property
     def instance(self) -> np.ndarray | None:
-        """(h, w) int32 number of the edit in whose posed cage lies what is at `depth` in each pixel.
+        """(h, w) int32 number of the edit whose posed cage holds the surface point at `depth`.
 
-        Of several it is the last; -1 for what no edit holds, and where nothing is. None where it was not asked for.
+        Of several it is the last; -1 outside all cages, and where nothing is seen. None where it was not requested.
         """
         return self._mask("instance")
 
@@ -334,10 +333,10 @@ class Frame:
             np.savez(temporary, **arrays)
 
     def begin_copies(self, *names: str) -> None:
-        """Let arrays come from a CUDA device to the host while the device is given other work.
+        """Start copies of arrays from a CUDA device to the host while the device goes on with other work.
 
-        The properties then wait for what was launched until now, and not for what is launched afterwards; another
-        thread may ask them. Without this a property copies by itself, behind all that was launched.
+        The properties then wait for what was launched before this call, not for what is launched afterwards; any
+        thread may read them. Without this a property makes the copy itself, after all that was launched.
 
         Args:
             names: Of `arrays`, or "rgb_bytes".
@@ -467,7 +466,7 @@ def _number_type(name: str) -> Any:
 
 
 def _channels(name: str) -> tuple[int, ...]:
-    """How many numbers a pixel's value has, as the last side of its array; none for a plain number."""
+    """The channels of a pixel's value as the last dimension of its array; () for a scalar."""
     count = wp.types.type_size(part_type(name))
     return (count,) if count > 1 else ()
 
@@ -491,7 +490,7 @@ def _shaped(host: np.ndarray, name: str, *shape: int) -> np.ndarray:
 
 
 def _comes_from_cuda(array: Any) -> bool:
-    """Whether an array is one that `begin_copies` is for."""
+    """Whether `begin_copies` can copy an array."""
     if not isinstance(array, wp.array) or array.device is None or not array.device.is_cuda:
         return False
     return array.is_contiguous and array.dtype in (wp.vec3, wp.float32)
@@ -528,11 +527,7 @@ def depth_along_view(frame: Frame, camera: Camera) -> np.ndarray:
 
 def checked_supersampling(side: Any) -> int:
     """The number of rays along each side of a pixel, 1 to MAX_SUPERSAMPLING."""
-    if not isinstance(side, numbers.Integral) or isinstance(side, bool) or not 1 <= int(side) <= MAX_SUPERSAMPLING:
-        raise InputError(
-            f"supersampling must be 1 to {MAX_SUPERSAMPLING} rays along each side of a pixel, got {side!r}"
-        )
-    return int(side)
+    return checked_whole(side, "supersampling", 1, MAX_SUPERSAMPLING)
 
 
 def finer_camera(camera: Camera, side: int) -> Camera:
@@ -544,7 +539,7 @@ def finer_camera(camera: Camera, side: int) -> Camera:
 
 
 def average_frame(frame: Frame, side: int, into: dict[str, Any] | None = None) -> Frame:
-    """A frame of Warp arrays whose pixels are joined in squares of `side`, which divides its width and height.
+    """A frame of Warp arrays averaged over squares of `side` pixels, which divides its width and height.
     into: arrays to fill, None makes new ones."""
     if side == 1:
         return frame
@@ -564,7 +559,7 @@ def average_frame(frame: Frame, side: int, into: dict[str, Any] | None = None) -
 
 
 def is_transparent(background: Any) -> bool:
-    """Whether a background is the word for none."""
+    """Whether a background is "transparent"."""
     return isinstance(background, str) and background == TRANSPARENT
 
 
@@ -575,7 +570,7 @@ def view_background(background: str | ArrayLike) -> np.ndarray:
 
 def parse_background(background: str | ArrayLike, names: Iterable[str] = BACKGROUNDS) -> np.ndarray:
     """The colour (3,) float32 in [0, 1] of a background: the name of one (see BACKGROUNDS), or three numbers.
-    names: those that its refusal tells."""
+    names: those that the message lists."""
     if isinstance(background, str):
         if background == "random":
             raise InputError(

@@ -1,4 +1,4 @@
-"""Pictures of the parts of a frame: colours, opacity, depth, disparity, and masks in colour."""
+"""Pictures of the parts of a frame: colours, with opacity, depth, disparity, and masks in colour."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..mesh.mesh import ClosedMesh
 from .camera import Camera
 from .frame import Frame
 from .overlay import draw_cage
-from .pictures import color_disparity, disparity_range
+from .pictures import color_disparity, disparity_range, with_opacity
 
 #: Mask -> its colour in the picture, and what a warning says of the share that it marks.
 MASKS = {
@@ -58,8 +58,21 @@ def picture(
     return shown
 
 
+def rgba_picture(frame: Frame, camera: Camera | None = None, cages: Sequence[ClosedMesh] = ()) -> np.ndarray:
+    """Straight colours and opacity (h, w, 4) float32 in [0, 1] of a frame rendered on black; black for nothing seen.
+    Edges of cages, drawn into it, need the camera."""
+    colors = np.maximum(frame.rgb, 0.0)
+    clear = np.repeat(1.0 - np.clip(frame.alpha, 0.0, 1.0)[..., None], 3, axis=-1)
+    for cage in cages:
+        assert camera is not None
+        colors = draw_cage(colors, camera, cage)
+        clear = draw_cage(clear, camera, cage, color=(0.0, 0.0, 0.0))  # what is behind, through the same lines
+    alpha = 1.0 - clear[..., :1]
+    return with_opacity(colors, alpha)
+
+
 def mask_values(frame: Frame, name: str) -> np.ndarray | None:
-    """(h, w) what a mask marks. Of what was uncovered, only where something may be missing."""
+    """(h, w) values of a mask; for "reveal" only where something may be missing."""
     return frame.missing if name == "reveal" else getattr(frame, name)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
@@ -12,10 +11,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.names import Easing
+from ..core.names import Easing, checked_choice
 from ..errors import InputError
-from ..mesh.mesh import ClosedMesh
-from .camera import Camera
+from ..package import lazy_exports
 
 #: Largest denominator of a rate, that of the television rates such as 30000/1001.
 MAX_DENOMINATOR = 1001
@@ -41,13 +39,13 @@ def value_at(
     still_ends: bool = True,
     closed: bool = False,
 ) -> np.ndarray:
-    """What keys, ascending in time, come to at a time. Before the first and after the last one all is still.
-    `values`: (d,) d numbers of their own or (..., d) vectors. Do not write what comes back: it may be a key's own."""
-    # "smooth" is a cubic without jumps of velocity at keys; nothing swings beyond its keys, and what two keys share
-    # stays still: velocities are limited (`limited_velocity`) along vectors, so that a turned scene moves alike. "hold"
-    # stays until the next key; "ease-in" sets out gently, "ease-out" arrives so; "bounce" falls onto the next key and
-    # comes back three times, "elastic" goes beyond it and swings in; a curve may too. `still_ends`: smooth ways begin
-    # and end at rest. `closed`: the last key is the first again, passed without stopping.
+    """The interpolated value of keys, ascending in time; constant before the first and after the last one.
+    `values`: (d,) d separate numbers, or (..., d) vectors. The result may be a key's array: do not write to it."""
+    # "smooth" is a cubic with continuous velocity that never overshoots its keys: velocities are limited
+    # (`limited_velocity`) along vectors, so that a rotated scene moves alike. "hold" stays until the next key;
+    # "ease-in" starts slowly, "ease-out" stops slowly; "bounce" falls onto the next key and comes back three times,
+    # "elastic" overshoots and oscillates; a curve may too. `still_ends`: smooth segments begin and end at rest.
+    # `closed`: the last key is the first again, passed without stopping.
     index = bisect.bisect_right(times, time) - 1
     if index < 0 or index == len(times) - 1:
         return values[max(index, 0)]
@@ -70,7 +68,7 @@ def value_at(
 
 
 def eased_share(easing: Easing, share: float) -> float:
-    """The share of the way that is gone at a share of the time, 0 to 1; `easing`: another one than smooth and hold."""
+    """The eased share of the way at a share of the time, 0 to 1; `easing`: any but smooth and hold."""
     if isinstance(easing, str):
         return _EASED[easing](share)
     x1, y1, x2, y2 = easing["bezier"]
@@ -79,8 +77,8 @@ def eased_share(easing: Easing, share: float) -> float:
 
 def _curved(x1: float, y1: float, x2: float, y2: float, share: float) -> float:
     """The height of the cubic from (0, 0) by (x1, y1) and (x2, y2) to (1, 1) above a share of the time."""
-    # Newton's steps from the share itself; where one leaves what is known to hold the place, and x1 = 1, x2 = 0 has
-    # no slope in its middle, half of that is taken instead. x rises with its parameter, as x1 and x2 are 0 to 1.
+    # Newton's method from the share itself, with bisection where a step leaves the bracket or the slope is 0 (x1 = 1,
+    # x2 = 0, in the middle). x rises with its parameter, as x1 and x2 are 0 to 1.
     low, high, place = 0.0, 1.0, share
     for _ in range(MAX_STEPS):
         error = _cubic(x1, x2, place) - share
@@ -123,7 +121,7 @@ _EASED: dict[str, Callable[[float], float]] = {
 
 
 class _Velocities:
-    """What smooth ways have at keys; see `value_at`."""
+    """Velocities at keys of smooth segments; see `value_at`."""
 
     def __init__(self, times, values, easings, still_ends: bool, closed: bool):
         self.times, self.values, self.easings = times, values, easings
@@ -151,10 +149,10 @@ class _Velocities:
 
 
 def limited_velocity(before: np.ndarray, after: np.ndarray, length_before: float, length_after: float) -> np.ndarray:
-    """The velocity at a key between two ways: that from the key before to the key after, as far as nothing overshoots.
-    `before`, `after`: velocities of the straight ways, (d,) numbers of their own or (..., d) vectors."""
-    # What would turn against either way is taken out of it, and it is at most three times the slower of both (Fritsch
-    # and Carlson 1980). Along one line that keeps what rises rising and makes turning points flat.
+    """The velocity at a key: that from the key before to the key after, limited so that nothing overshoots.
+    `before`, `after`: mean velocities of the two segments, (d,) separate numbers or (..., d) vectors."""
+    # Components against either segment are removed, and it is at most three times the slower of both (Fritsch and
+    # Carlson 1980). In one dimension this keeps monotone keys monotone and makes extrema flat.
     one, two = (value[..., None] if value.ndim == 1 else value for value in (before, after))
     velocity = (length_before * one + length_after * two) / max(length_before + length_after, 1e-300)
     slower = np.sqrt(np.minimum(_dot(one, one), _dot(two, two)))
@@ -221,75 +219,22 @@ def whole_frames(length: float, rate: Fraction) -> Fraction:
     return frames / rate if abs(exact * rate - frames) < Fraction(1, 10**6) else exact
 
 
-#: How a film goes through its keyframes: there and back, there, or at the last one throughout.
-MOTIONS = ("swing", "once", "hold")
-
 #: How it goes from one keyframe to the next.
 INTERPOLATIONS = ("smooth", "linear")
-
-#: A cage of any class that has `vertices` and `with_vertices`.
-Mesh = TypeVar("Mesh", bound=ClosedMesh)
-
-
-def pose_weights(count: int, motion: str = "swing") -> np.ndarray:
-    """Weights (count,) float64 in [0, 1] of one pose in the frames of a film, gentle at both ends."""
-    return frame_places(count, 2, motion)
-
-
-def frame_places(
-    count: int,
-    keyframe_count: int,
-    motion: str = "swing",
-    interpolation: str = "smooth",
-    frames: ArrayLike | None = None,
-) -> np.ndarray:
-    """Places of a film's frames (count,) among keyframes, 0 for the first and keyframe_count - 1 for the last.
-    frames: (n,) which of them, or between which, as numbers from 0 on; None is all."""
-    if count < 1 or keyframe_count < 1:
-        raise InputError(f"a film needs at least one frame and one keyframe, got {count} and {keyframe_count}")
-    if motion not in MOTIONS:
-        raise InputError(f"motion {motion!r} is not known: {', '.join(MOTIONS)}")
-    _check_interpolation(interpolation)
-    if motion == "hold":
-        return np.full(count if frames is None else np.shape(frames), keyframe_count - 1.0)
-    at = np.arange(count) if frames is None else np.asarray(frames, np.float64)
-    # a film that swings loops without a repeated frame
-    phase = at / count % 1.0 if motion == "swing" else 0.5 * np.clip(at, 0, count - 1) / max(1, count - 1)
-    # phase 0 is the first keyframe, 1/2 the last
-    weights = 0.5 - 0.5 * np.cos(2 * np.pi * phase) if interpolation == "smooth" else 1.0 - np.abs(1.0 - 2.0 * phase)
-    return weights * (keyframe_count - 1)
 
 
 def value_along(values: Sequence[np.ndarray], place: float, interpolation: str = "smooth") -> np.ndarray:
     """The value at a place among keyframes, from 0 for the first to len(values) - 1 for the last.
-    `values` are arrays of one shape: (d,) d numbers of their own, or (..., d) vectors."""
+    `values` are arrays of one shape: (d,) d separate numbers, or (..., d) vectors."""
     # "linear" joins keyframes by straight lines, "smooth" is that of `value_at`, straight at both ends.
-    _check_interpolation(interpolation)
+    checked_choice(interpolation, "interpolation", INTERPOLATIONS)
     if not 0 <= place <= len(values) - 1:
         raise InputError(f"a place among {len(values)} keyframes must be 0 to {len(values) - 1}, got {place}")
     return value_at(range(len(values)), values, place, [interpolation] * len(values), still_ends=False)
 
 
-def pose_along(keyframes: Sequence[Mesh], place: float, interpolation: str = "smooth") -> Mesh:
-    """The cage at a place among keyframes of the same faces; see `value_along`."""
-    return keyframes[0].with_vertices(value_along([cage.vertices for cage in keyframes], place, interpolation))
-
-
-def cameras_along(
-    cameras: Sequence[Camera], count: int, interpolation: str = "smooth", frames: ArrayLike | None = None
-) -> list[Camera]:
-    """`count` cameras on the way through a list of cameras of one picture size, the first and the last included.
-    frames: (n,) which of them, or between which, as numbers from 0 on; None is all."""
-    if not cameras:
-        raise InputError("a camera path needs at least one camera")
-    sizes = {(camera.width, camera.height) for camera in cameras}
-    if len(sizes) > 1:
-        raise InputError(f"cameras of a path must have one picture size, got {sorted(sizes)}")
-    return [_camera_at(cameras, place, interpolation) for place in evenly(0, len(cameras) - 1, count, frames)]
-
-
 def evenly(begin: float, end: float, count: int, frames: ArrayLike | None = None) -> np.ndarray:
-    """Numbers from `begin` to `end` of `count` frames, of those (n,) that are named, or between them; None is all."""
+    """Evenly spaced numbers from `begin` to `end`; frames: (n,) of `count`, whole or between, or None for all."""
     numbers = np.linspace(begin, end, count)
     return numbers if frames is None else np.interp(np.asarray(frames, np.float64), np.arange(count), numbers)
 
@@ -301,34 +246,5 @@ def axis_rotation(axis: ArrayLike, angle: float) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross  # Rodrigues' formula
 
 
-def _camera_at(cameras: Sequence[Camera], place: float, interpolation: str) -> Camera:
-    begin = min(int(place), max(0, len(cameras) - 2))
-    end = min(begin + 1, len(cameras) - 1)
-    pose = np.eye(4)
-    pose[:3, 3] = value_along([camera.center[None] for camera in cameras], place, interpolation)
-    pose[:3, :3] = _rotation_between(cameras[begin].rotation, cameras[end].rotation, place - begin)
-    names = ("fx", "fy", "cx", "cy")
-    lenses = [np.array([getattr(camera, name) for name in names]) for camera in cameras]
-    lens = dict(zip(names, value_along(lenses, place, interpolation).tolist(), strict=True))
-    return dataclasses.replace(cameras[begin], camera_to_world=pose, **lens)
-
-
-def _rotation_between(first: np.ndarray, second: np.ndarray, share: float) -> np.ndarray:
-    """Rotation (3, 3) at a share of the shortest turn from `first` to `second`."""
-    turn = first.T @ second
-    cosine = np.clip(0.5 * (np.trace(turn) - 1), -1.0, 1.0)
-    angle = np.arccos(cosine)
-    if angle < 1e-9:
-        return np.array(first)
-    symmetric = 0.5 * (turn + turn.T)
-    if angle > np.pi - 1e-4:  # half a turn: the axis is the eigenvector of the symmetric part
-        axis = np.linalg.eigh(symmetric)[1][:, -1]
-    else:
-        axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-        axis /= np.linalg.norm(axis)
-    return first @ axis_rotation(axis, share * angle)
-
-
-def _check_interpolation(interpolation: str) -> None:
-    if interpolation not in INTERPOLATIONS:
-        raise InputError(f"interpolation {interpolation!r} is not known: {', '.join(INTERPOLATIONS)}")
+#: Of `warpcage.studio.films.motion`, which were here up to version 0.2.
+__getattr__ = lazy_exports(str(__package__), {"film_motion": "cameras_along frame_places pose_along pose_weights"})[0]

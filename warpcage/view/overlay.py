@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.checks import checked_positive
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from .camera import Camera
@@ -37,8 +38,7 @@ def draw_cage(
         raise InputError(f"the picture must be ({camera.height}, {camera.width}, 3) as its camera, got {pixels.shape}")
     if depth is not None and np.shape(depth) != pixels.shape[:2]:
         raise InputError(f"depth must be {pixels.shape[:2]} as the picture, got {np.shape(depth)}")
-    if not width > 0:
-        raise InputError(f"the line width must be positive, got {width}")
+    checked_positive(width, "the line width")
     paint = np.asarray(color, np.float64)
     if paint.shape != (3,) or not ((paint >= 0) & (paint <= 1)).all():
         raise InputError(f"color must be three numbers in [0, 1], got {paint.tolist()}")

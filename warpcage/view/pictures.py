@@ -42,17 +42,17 @@ ORIENTATION = 0x0112
 #: search for repetitions, and files are as large within a tenth (benchmarks/NOTES-batch.md).
 PNG_STRATEGY = zlib.Z_RLE
 
-#: What is said of an image that cannot be shown.
+#: The message for an image that cannot be shown.
 NOT_FINITE = "an image holds values that are not finite"
 
-#: Colours above 1 are highlights, and harmonics swing over edges: frames of captures had 0.4 % of their values beyond
-#: [0, 1], by up to 0.38. Said is what more of a picture has beyond this, or any value that is farther.
+#: Colours above 1 are highlights, and harmonics overshoot at edges: frames of captures had 0.4 % of their values
+#: outside [0, 1], by up to 0.38. Clipping warns where more than SHARE lie BESIDE outside, or any value FAR.
 BESIDE, SHARE, FAR = 0.1, 0.01, 0.5
 
-#: What pictures hold, in a message.
+#: What a message calls the values of pictures.
 COLORS = "values of pixels"
 
-#: Which files keep what pictures for screens do not, in a message.
+#: The hint of a message that pictures for screens clip light.
 LIGHT_KEPT = ".exr files keep light above 1"
 
 #: The largest picture that is read: a few bytes can declare any size.
@@ -79,7 +79,7 @@ _WARM = (
     / 255.0
 )
 
-#: Room below the farthest disparity that is seen, as a share of the scale.
+#: Margin below the least disparity that is seen, as a share of the scale.
 FAR_ROOM = 0.15
 
 
@@ -135,7 +135,7 @@ def _opened(path: pathlib.Path) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _read_by(open_file: Callable[[], BinaryIO], path: str | pathlib.Path) -> Iterator[Any]:
-    """The same of what `open_file` opens; path: what messages call it, whose ending may say how it is read."""
+    """The PIL image of what `open_file` opens; path: for messages, and its ending for HEIC."""
     from PIL import Image
 
     try:
@@ -203,7 +203,7 @@ def _read_deep_png(path: pathlib.Path) -> np.ndarray:
 
 
 class PictureCuts(Cuts):
-    """Counts the colours that pictures cut; little beside [0, 1] is not said."""
+    """Counts colours that pictures clip; a little outside [0, 1] does not warn."""
 
     def __init__(self) -> None:
         super().__init__(beside=BESIDE, share=SHARE, far=FAR)
@@ -211,8 +211,8 @@ class PictureCuts(Cuts):
 
 @contextlib.contextmanager
 def picture_cuts(path: object, held: Cuts | None = None) -> Iterator[Cuts]:
-    """Counts the colours that are cut in the block, and says so at its end, where it does not count for others too.
-    path: for the message; held: of more pictures."""
+    """Counts the colours that are clipped in the block and warns at its end; path: for the message.
+    held: a count over several pictures, whose owner warns."""
     cuts = PictureCuts() if held is None else held
     yield cuts
     if held is None:
@@ -221,7 +221,7 @@ def picture_cuts(path: object, held: Cuts | None = None) -> Iterator[Cuts]:
 
 def write_png(path: str | os.PathLike[str], image: ArrayLike, *, cuts: Cuts | None = None) -> None:
     """Write a PNG file, whole or not at all: (h, w), (h, w, 3) or (h, w, 4), in [0, 1] or uint8.
-    cuts: counts for a warning what is far outside [0, 1]; None for one of this file."""
+    cuts: counts what is clipped over several pictures; None warns for this file alone."""
     with picture_cuts(path, cuts) as held:
         pixels = _png_pixels(image, held)
         path = path_with_ending(path, ".png")
@@ -230,7 +230,7 @@ def write_png(path: str | os.PathLike[str], image: ArrayLike, *, cuts: Cuts | No
 
 
 def png_bytes(image: ArrayLike) -> bytes:
-    """What `write_png` writes."""
+    """The bytes that `write_png` writes."""
     data = io.BytesIO()
     _encode_png(data, _png_pixels(image))
     return data.getvalue()
@@ -271,7 +271,7 @@ def path_with_ending(path: str | os.PathLike[str], ending: str) -> pathlib.Path:
 
 
 def to_uint8(image: ArrayLike, cuts: Cuts | None = None) -> np.ndarray:
-    """An image of any shape, in [0, 1], in bytes, rounded and clipped; the same array for uint8.
+    """An image of any shape, in [0, 1], as uint8, rounded and clipped; uint8 is returned as it is.
     cuts: counts what is clipped."""
     pixels = np.asarray(image)
     if pixels.dtype == np.uint8:

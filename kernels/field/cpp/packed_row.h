@@ -10,23 +10,23 @@ for (int n = 1; n < (luminous ? 24 : 27); ++n)
 // rounded up, so that no number needs more than 127 units
 const wp::half unit = wp::float_to_half(fminf(largest * (1.0005f / 127.0f) + 6.0e-8f, limit));
 const float scale = 1.0f / wp::half_to_float(unit);
-unsigned words[8];
-words[0] = (unsigned)wp::float_to_half(fminf(fmaxf(c[0], -limit), limit)).u
+unsigned uint32s[8];
+uint32s[0] = (unsigned)wp::float_to_half(fminf(fmaxf(c[0], -limit), limit)).u
     | ((unsigned)wp::float_to_half(fminf(fmaxf(c[starts[1]], -limit), limit)).u << 16);
-words[1] = (unsigned)wp::float_to_half(fminf(fmaxf(c[starts[2]], -limit), limit)).u | ((unsigned)unit.u << 16);
+uint32s[1] = (unsigned)wp::float_to_half(fminf(fmaxf(c[starts[2]], -limit), limit)).u | ((unsigned)unit.u << 16);
 #pragma unroll
 for (int w = 0; w < 6; ++w)
 {
-    // number of the word's first entry, and where the part that it belongs to ends
+    // number of the first entry, and where the part that it belongs to ends
     const int from = luminous ? (w < 4 ? 1 + 4 * w : 4 * w + 1) : 9 * (w >> 1) + 1 + 4 * (w & 1);
     const int end = luminous ? (w < 4 ? 16 : 4 * w + 4) : 9 * (w >> 1) + 9;
-    unsigned word = 0u;
+    unsigned bytes = 0u;
     #pragma unroll
     for (int b = 0; b < 4; ++b)
         if (from + b < end)
-            word |= ((unsigned)max(-127, min(127, __float2int_rn(c[from + b] * scale))) & 0xffu) << (8 * b);
-    words[2 + w] = word;
+            bytes |= ((unsigned)max(-127, min(127, __float2int_rn(c[from + b] * scale))) & 0xffu) << (8 * b);
+    uint32s[2 + w] = bytes;
 }
 uint4* to = reinterpret_cast<uint4*>(packed.data) + (size_t)target * 2;
-to[0] = make_uint4(words[0], words[1], words[2], words[3]);
-to[1] = make_uint4(words[4], words[5], words[6], words[7]);
+to[0] = make_uint4(uint32s[0], uint32s[1], uint32s[2], uint32s[3]);
+to[1] = make_uint4(uint32s[4], uint32s[5], uint32s[6], uint32s[7]);

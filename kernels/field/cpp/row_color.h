@@ -14,14 +14,14 @@ int rounded[4];
 #pragma unroll
 for (int w = 0; w < 4; ++w)
 {
-    unsigned word = 0u;
+    unsigned bytes = 0u;
     #pragma unroll
     for (int b = 0; b < 4; ++b)
         if (4 * w + b + 1 < last)
-            word |= ((unsigned)__float2int_rn(basis.c[4 * w + b + 1] * scale) & 0xffu) << (8 * b);
-    rounded[w] = (int)word;
+            bytes |= ((unsigned)__float2int_rn(basis.c[4 * w + b + 1] * scale) & 0xffu) << (8 * b);
+    rounded[w] = (int)bytes;
 }
-// what the third to sixth word of a row are multiplied by; the first two take the first two
+// what the third to sixth uint32 of a row are multiplied by; the first two take the first two
 const int third = luminous ? rounded[2] : rounded[0];
 const int fourth = luminous ? rounded[3] : rounded[1];
 const int sixth = luminous ? rounded[0] : rounded[1];

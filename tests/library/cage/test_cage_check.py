@@ -81,12 +81,12 @@ def test_command_line(tmp_path, capsys):
     shuffled_cage(cage.bend(40)).save(tmp_path / "posed.glb")
     Cage(cage.vertices, cage.faces[1:]).save(tmp_path / "open.off")
     trimesh.creation.box([0.5, 0.5, 3]).apply_translation([0.5, 0.5, 2]).export(tmp_path / "inside.ply")
-    words = ["--object", str(tmp_path / "inside.ply"), "--posed", str(tmp_path / "posed.glb")]
+    arguments = ["--object", str(tmp_path / "inside.ply"), "--posed", str(tmp_path / "posed.glb")]
 
-    assert main(["check", str(tmp_path / "cage.obj"), *words]) == 0
+    assert main(["check", str(tmp_path / "cage.obj"), *arguments]) == 0
     text = capsys.readouterr().out
     assert "100.000 %" in text and "pose: stretch" in text and text.strip().endswith("yes")
-    assert main(["check", str(tmp_path / "cage.obj"), "--json", *words]) == 0
+    assert main(["check", str(tmp_path / "cage.obj"), "--json", *arguments]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["usable"] and report["mesh_enclosed"] == 1.0 and report["pose"]["inverted_share"] == 0.0
     assert report["cost"]["resolution"] == 128 and report["file"].endswith("cage.obj")

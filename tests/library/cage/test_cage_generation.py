@@ -109,7 +109,7 @@ def test_a_wider_margin_is_kept():
 @pytest.mark.parametrize("recorded", [False, True])
 def test_cages_of_fields_enclose_every_visible_node(recorded):
     density = ball_densities(32).astype(np.float32)
-    density[np.abs(nodes(32)[..., 0] - 0.1) > 0.9] = 0.002  # haze that nobody sees
+    density[np.abs(nodes(32)[..., 0] - 0.1) > 0.9] = 0.002  # haze too thin to see
     weights = np.where(density > 1.0, 0.5, 0.001).astype(np.float32) if recorded else None
     field = GridField(density, weights=weights)
     cage = Cage.from_field(field, 60, method="shell" if recorded else "voxel")

@@ -57,7 +57,7 @@ def test_a_cage_in_another_order_moves_along():
 @pytest.mark.parametrize("ending", ["glb", "usdc", "obj"])
 @pytest.mark.parametrize("ordered", [True, False])
 def test_a_film_may_begin_flat(tmp_path, ending, ordered):
-    """Vertices are told apart by their numbers, also where the first frame has several at one place."""
+    """Vertices are distinguished by their numbers, also where the first frame has several at one place."""
     if ending == "usdc":
         pytest.importorskip("pxr")
     own = Cage.box([-1, -1.2, -1.5], [1, 1, 1.1], segments=2)

@@ -233,7 +233,7 @@ def test_the_last_resort_is_a_box_of_the_count(count):
 
 def test_where_all_attempts_fail_the_box_is_drawn_close(monkeypatch):
     coarsen(monkeypatch)
-    monkeypatch.setattr(shell, "progressive_hull", lambda vertices, faces, count: (vertices, faces))
+    monkeypatch.setattr(shell, "progressive_hull", lambda vertices, faces, *_: (vertices, faces))
     monkeypatch.setattr(shell, "CLOSINGS", (5.0,))
     assert_holds(Cage.from_mesh(SHAPES["U"], 16, method="shell"), SHAPES["U"], 16)
 

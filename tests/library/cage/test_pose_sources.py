@@ -191,6 +191,6 @@ def test_the_command_line_reads_caches_alike(tmp_path):
     PoseFile(rest, {"a": posed}).save(tmp_path / "one.pc2")
     PoseFile(rest, {"a": posed}).save(tmp_path / "one.json")
     for name in ("one.pc2", "one.json"):
-        words = ["--cage", "@cage.obj", "--posed", tmp_path / name, "--view", "front", *SMALL]
-        succeed(files, "render", "@ball.npz", "-o", tmp_path / f"{name}.png", *words)
+        arguments = ["--cage", "@cage.obj", "--posed", tmp_path / name, "--view", "front", *SMALL]
+        succeed(files, "render", "@ball.npz", "-o", tmp_path / f"{name}.png", *arguments)
     np.testing.assert_array_equal(read_image(tmp_path / "one.pc2.png"), read_image(tmp_path / "one.json.png"))

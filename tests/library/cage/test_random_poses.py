@@ -200,7 +200,7 @@ def test_a_bend_and_a_twist_are_those_of_the_poses():
         expected = poses.bend(
             vertices, degrees, axis=axis, towards=towards, center=center, bounds=np.repeat(ends, 2, 0)
         )
-        # the one leaves its lower end in place, the other its middle: distances tell no difference
+        # the one leaves its lower end in place, the other its middle: distances are the same
         assert_congruent(way.at(t), expected)
 
 

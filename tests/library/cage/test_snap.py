@@ -52,7 +52,7 @@ def test_bad_snaps_are_refused(field):
 def test_snap_on_the_command_line(tmp_path, capsys):
     make_field(boxes(*BLOCKS, PLATE), plain([0.8, 0.3, 0.1])).save(tmp_path / "blocks.npz")
     Cage.box([-0.1, -0.7, -0.45], [0.95, 0.7, 0.7], segments=2).save(tmp_path / "box.obj")
-    words = [
+    arguments = [
         "cage",
         str(tmp_path / "blocks.npz"),
         "-o",
@@ -60,9 +60,9 @@ def test_snap_on_the_command_line(tmp_path, capsys):
         "--snap",
         str(tmp_path / "box.obj"),
     ]
-    assert main([*words, "--reach", "0.25"]) == 0
+    assert main([*arguments, "--reach", "0.25"]) == 0
     said = capsys.readouterr().out
     assert "% less" in said
     assert -0.03 < Cage.load(tmp_path / "snapped.obj").bounds[0, 0] < 0.18
-    assert main(words) == 2 and "--snap needs --reach" in capsys.readouterr().err
-    assert main([*words, "--reach", "0.1", "--box"]) == 2
+    assert main(arguments) == 2 and "--snap needs --reach" in capsys.readouterr().err
+    assert main([*arguments, "--reach", "0.1", "--box"]) == 2

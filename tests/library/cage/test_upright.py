@@ -73,13 +73,13 @@ def test_each_file_is_turned_to_the_object(files, tmp_path, capsys, rest, posed)
 
 
 def test_a_given_axis_is_obeyed_and_doubted(files, tmp_path, capsys):
-    words = ["render", "@post.npz", "-o", tmp_path / "x.png", *VIEW, "--cage", "@rest_y.obj", "--posed", "@posed_y.obj"]
-    succeed(files, *words, "--cage-up", "z")
+    argv = ["render", "@post.npz", "-o", tmp_path / "x.png", *VIEW, "--cage", "@rest_y.obj", "--posed", "@posed_y.obj"]
+    succeed(files, *argv, "--cage-up", "z")
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "warning: cage" in said and "seems to have y up" in said
-    succeed(files, *words, "--cage-up", "y")
+    succeed(files, *argv, "--cage-up", "y")
     assert capsys.readouterr().err == ""
-    succeed(files, *words, "--cage-up", "y", "--posed-up", "z")
+    succeed(files, *argv, "--cage-up", "y", "--posed-up", "z")
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "would lie much nearer to its rest cage with another axis up" in said
 
@@ -88,9 +88,9 @@ def test_animate_bake_and_check_find_it_too(files, tmp_path, capsys):
     cages = ["--cage", "@rest_y.obj", "--posed", "@posed_z.obj"]
     right = ["--cage", "@rest_z.obj", "--posed", "@posed_z.obj"]
     film = [*VIEW, "--frames", 2, "--motion", "hold", "--turn", 0, "--quiet"]
-    for name, words in (("found", cages), ("right", right)):
-        succeed(files, "animate", "@post.npz", "-o", tmp_path / name, *film, *words)
-        succeed(files, "bake", "@post.npz", "-o", tmp_path / f"{name}.npz", *words, "--voxels", 16)
+    for name, argv in (("found", cages), ("right", right)):
+        succeed(files, "animate", "@post.npz", "-o", tmp_path / name, *film, *argv)
+        succeed(files, "bake", "@post.npz", "-o", tmp_path / f"{name}.npz", *argv, "--voxels", 16)
     found, wanted = (read_image(tmp_path / name / "frame_0001.png") for name in ("found", "right"))
     assert np.abs(found - wanted).max() < 0.02
     found, wanted = (VoxelField.load(tmp_path / f"{name}.npz").bounds for name in ("found", "right"))
@@ -110,12 +110,12 @@ def test_animate_bake_and_check_find_it_too(files, tmp_path, capsys):
 
 def test_a_cage_that_holds_nothing_is_refused(files, tmp_path, capsys):
     whole().translate((5, 5, 5)).save(tmp_path / "far.obj")
-    words = ["render", "@post.npz", "-o", tmp_path / "x.png", *VIEW, "--cage", tmp_path / "far.obj", "--posed", "rest"]
-    assert run(files, *words) == 2
+    argv = ["render", "@post.npz", "-o", tmp_path / "x.png", *VIEW, "--cage", tmp_path / "far.obj", "--posed", "rest"]
+    assert run(files, *argv) == 2
     said = capsys.readouterr().err
     assert "far.obj: holds nothing of the object" in said and said.count("\n") == 1
     assert not (tmp_path / "x.png").exists()
-    succeed(files, *words, "--cage-up", "z")
+    succeed(files, *argv, "--cage-up", "z")
     assert "warning: cage" in capsys.readouterr().err
     assert run(files, "check", tmp_path / "far.obj", "--object", "@post.npz") == 1
     assert "holds nothing of the object" in capsys.readouterr().out
@@ -152,13 +152,13 @@ def test_cages_of_a_part_stay_as_they_are(files, tmp_path, capsys):
     said = capsys.readouterr().err
     assert "warning" not in said and " % of what can be seen: the rest of it stays where it is" in said
     # one of several cages holds a part as it should: a word only where another axis would hold far more
-    for top, told in ((-0.5, "has y up, and is turned"), (-0.3, "with y up it would hold")):
+    for top, message in ((-0.5, "has y up, and is turned"), (-0.3, "with y up it would hold")):
         foot = Cage.box((-0.4, -0.6, -1.0), (0.4, 0.8, top), segments=2)
         for up in "zy":
             foot.save(tmp_path / f"{up}.obj", up=up)
             edit = f"{tmp_path / up}.obj:translate:0:0:0.1"
             succeed(files, "render", "@post.npz", "-o", tmp_path / "x.png", *VIEW, "--edit", edit)
-            assert (told in capsys.readouterr().err) == (up == "y")
+            assert (message in capsys.readouterr().err) == (up == "y")
 
 
 @pytest.mark.parametrize(

@@ -183,7 +183,7 @@ def test_stretched_normals_of_known_faces():
     assert np.isfinite(flat).all()
 
 
-def test_the_points_outside_are_told(device):
+def test_the_points_outside_are_reported(device):
     cage, points = cage_and_points("box")
     points[[7, 9]] += 5.0
     for given in (points, wrapped(points, "vec3", device)):

@@ -238,7 +238,7 @@ def read_quickly(
 
 
 def test_quick_reads_and_roots(device):
-    """Functions in C++, through which Warp passes nothing unless told how."""
+    """Functions in C++, through which Warp passes no gradients unless they are given."""
     random = np.random.default_rng(2)
     hosts = {
         "numbers": random.uniform(0.5, 3.0, 6),

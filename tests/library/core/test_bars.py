@@ -1,5 +1,6 @@
 """Bars of long work: on a terminal as tqdm draws them, elsewhere one line a stage, so that logs can be read."""
 
+import contextlib
 import os
 import re
 import struct
@@ -60,7 +61,7 @@ def test_a_log_has_a_line_each_ten_seconds(monkeypatch, capsys):
         now[0] += 11.0
         bar.set_postfix_str("31 dB, about 5 s left", refresh=False)
         bar.update(10)
-    assert capsys.readouterr().err.startswith("fit: 10/20, 31 dB, about 5 s left\n")  # not told twice
+    assert capsys.readouterr().err.startswith("fit: 10/20, 31 dB, about 5 s left\n")  # not printed twice
 
 
 def test_a_terminal_has_bars():
@@ -84,11 +85,29 @@ def test_a_terminal_has_bars():
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command",
     ["fit scene -o new.npz --resolution 16 --epochs 1", "animate ball.npz -o turn --frames 3 --size 16 --turn 90"],
 )
-def test_commands_leave_logs_that_can_be_read(words, files, monkeypatch, capsys):
+def test_commands_leave_logs_that_can_be_read(command, files, monkeypatch, capsys):
     monkeypatch.chdir(files)
-    assert main([*words.split(), "--device", "cpu"]) == 0
+    assert main([*command.split(), "--device", "cpu"]) == 0
     said = capsys.readouterr().err
-    assert "\r" not in said and len(re.findall(rf"^{words.split()[0]}: \d+/\d+ in ", said, re.MULTILINE)) == 1
+    assert "\r" not in said and len(re.findall(rf"^{command.split()[0]}: \d+/\d+ in ", said, re.MULTILINE)) == 1
+
+
+def test_an_error_of_a_progress_function_ends_work_that_catches_errors():
+    calls = []
+
+    def progress(*values):
+        calls.append(values)
+        raise ValueError("enough")
+
+    @reports.reports_progress
+    def work(progress=False):
+        for number in range(5):
+            with contextlib.suppress(ValueError):
+                reports.report_progress(progress, number, 5, "work")
+
+    with pytest.raises(ValueError, match="enough"):
+        work(progress=progress)
+    assert calls == [(0, 5, "work")]

@@ -10,7 +10,6 @@ from refusals import refused
 from warpcage.core import (
     axis_index,
     checked_bounds,
-    checked_margin,
     checked_number,
     checked_positive,
     checked_step,
@@ -23,17 +22,19 @@ from warpcage.core.checks import Cuts, real_array
 
 @pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.int64(2), np.array(2.0)])
 def test_numbers_of_any_kind_become_floats(value):
-    for found in (checked_number(value, "it"), checked_positive(value, "it"), checked_margin(value)):
+    for found in (checked_number(value, "it"), checked_positive(value, "it"), checked_number(value, "it", 0, 3)):
         assert type(found) is float and found == 2.0
     assert checked_step(value, 9.0) == 2.0 and checked_step(None, 9.0) == 9.0
 
 
-@pytest.mark.parametrize("value", ["2", b"2", None, 2j, [2.0], [1, [2]], np.nan, np.inf, -np.inf, 10**400])
+@pytest.mark.parametrize(
+    "value", ["2", b"2", None, True, np.True_, 2j, [2.0], [1, [2]], np.nan, np.inf, -np.inf, 10**400]
+)
 def test_what_is_no_finite_number_is_refused(value):
     checks = [
         (lambda: checked_number(value, "it"), "it must be one finite number, got "),
         (lambda: checked_positive(value, "it"), "it must be positive and finite, got "),
-        (lambda: checked_margin(value), MESSAGES["core.margin"]),
+        (lambda: checked_number(value, "it", 0.0), "must be a finite number of at least 0, "),
     ]
     if value is not None:
         checks.append((lambda: checked_step(value, 1.0), MESSAGES["core.step_positive"]))
@@ -42,14 +43,15 @@ def test_what_is_no_finite_number_is_refused(value):
 
 
 def test_ranges():
-    assert checked_margin(0) == 0.0 and checked_whole(np.int32(3), "count", 3, 3) == 3
+    assert checked_number(0, "it", 0.0) == 0.0 and checked_whole(np.int32(3), "count", 3, 3) == 3
     assert checked_vector([1, 2, 3], "place").tolist() == [1.0, 2.0, 3.0]
     assert [axis_index(axis) for axis in "xyz"] == [0, 1, 2]
     box = checked_bounds([[0, 0, 0], [1, 2, 3]])
     assert box.dtype == np.float64 and not box.flags.writeable
     for check, message in (
         (lambda: checked_positive(0, "it"), "it must be positive and finite, got 0"),
-        (lambda: checked_margin(-1e-9), "not negative, got -1e-09"),
+        (lambda: checked_number(-1e-9, "it", 0.0), "of at least 0, got -1e-09"),
+        (lambda: checked_number(4, "it", 1.5, 3), "it must be a number from 1.5 to 3, got 4"),
         (lambda: checked_whole(2, "count", 3), "count must be a whole number of at least 3, got 2"),
         (lambda: checked_whole(5, "count", 3, 4), "count must be a whole number from 3 to 4, got 5"),
         (lambda: checked_whole(3.0, "count", 3), "got 3.0"),

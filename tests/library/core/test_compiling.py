@@ -1,4 +1,4 @@
-"""Whoever waits for kernels to be compiled is told so: once, before a terminal, and where they are compiled at all."""
+"""A line says that kernels are compiled: once, on a terminal, and only where they are."""
 
 import io
 import os
@@ -18,10 +18,10 @@ PROGRAM = """
     from warpcage.core.modules import load_modules
     from warpcage.kernels.field import refine
 
-    reports.say = lambda: print("told")
+    reports.on_compiling = lambda: print("first")
     load_modules([refine], "cpu")
-    assert (reports.say is None) == {said}
-    reports.say = lambda: print("told again")
+    assert (reports.on_compiling is None) == {said}
+    reports.on_compiling = lambda: print("second")
     ones, singles = (wp.full((4, 3), value, dtype=kind, device="cpu") for value, kind in ((1, wp.float16), (0, float)))
     launch(refine.widen_rows, 4, [ones], [singles], device="cpu")
     assert (singles.numpy() == 1).all()
@@ -35,7 +35,7 @@ def test_it_is_said_once_and_only_where_something_is_compiled(tmp_path):
         program = textwrap.dedent(PROGRAM).format(said=said)
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=surroundings)
         assert done.returncode == 0, done.stderr
-        assert ("told\n" in done.stdout) == said and "told again" not in done.stdout
+        assert ("first\n" in done.stdout) == said and "second" not in done.stdout
 
 
 class Terminal(io.StringIO):
@@ -45,13 +45,13 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.mark.parametrize(("stream", "words", "watched"), [
+@pytest.mark.parametrize(("stream", "options", "watched"), [
     (Terminal, (), True), (Terminal, ("--quiet",), False), (io.StringIO, (), False),
 ])  # fmt: skip
-def test_a_command_says_it_before_a_terminal(monkeypatch, stream, words, watched):
-    monkeypatch.setattr(reports, "say", None)
+def test_a_command_says_it_before_a_terminal(monkeypatch, stream, options, watched):
+    monkeypatch.setattr(reports, "on_compiling", None)
     monkeypatch.setattr(sys, "stderr", stream())
-    assert main(["render", "nothing.npz", "-o", "a.png", *words]) == 2  # there is no such file
-    assert (reports.say is not None) == watched
-    reports.told()
-    assert ("compiling kernels" in sys.stderr.getvalue()) == watched and reports.say is None
+    assert main(["render", "nothing.npz", "-o", "a.png", *options]) == 2  # there is no such file
+    assert (reports.on_compiling is not None) == watched
+    reports.report_compiling()
+    assert ("compiling kernels" in sys.stderr.getvalue()) == watched and reports.on_compiling is None

@@ -52,7 +52,7 @@ def fill_zeros(bytes_of_rows: wp.array3d(dtype=wp.uint8), places: wp.array(dtype
 
 
 def test_rows_of_bytes_with_a_zero(device):
-    """Of one to four bytes, wherever they begin in a word, up to the last of the array."""
+    """One to four bytes, at any offset from four, up to the last of the array."""
     random = np.random.default_rng(0)
     values = random.choice([0, 0, 1, 7, 127, 128, 129, 255], (4, 5, 13)).astype(np.uint8)
     held = wp.zeros(values.size + 3, dtype=wp.uint8, device=device)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from warpcage.core import atomic_path, files, joined_crc, read_npz
+from warpcage.core import atomic_path, joined_crc, npz, read_npz
 from warpcage.field.io import field_file
 
 
@@ -97,7 +97,7 @@ def test_what_cannot_be_written_is_named_and_nothing_is_left(tmp_path):
 
 
 def test_large_arrays_are_read_in_parts_and_their_checksum_is_compared(tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "CHUNK", 1000)
+    monkeypatch.setattr(npz, "CHUNK", 1000)
     random, path = np.random.default_rng(0), tmp_path / "large.npz"
     arrays = {"a": random.random((77, 31)), "b": random.integers(0, 255, 5001, np.uint8), "c": np.arange(3)}
     arrays["columns"] = np.asfortranarray(arrays["a"])

@@ -78,7 +78,7 @@ def test_memory_of_copies_is_used_again_and_what_somebody_holds_is_not(device, r
             held.append((seed, frame.rgb, frame.rgb_bytes))
         elif seed % 3 == 1:
             np.testing.assert_array_equal(frame.rgb, colors(seed))
-        del frame  # every third one that nobody waited for
+        del frame  # every third one before its copy has ended
     gc.collect()
     for seed, rgb, packed in held:
         np.testing.assert_array_equal(rgb, colors(seed))

@@ -72,8 +72,8 @@ OPTIONAL = {"scipy": "scipy", "trimesh": "trimesh", "imageio": "imageio", "pillo
             "tqdm": "tqdm", "pymeshlab": "pymeshlab", "av": "av", "packaging": "packaging"}  # fmt: skip
 
 
-def copied(name, folder, *words):
-    assert main(["kernels", "copy", name, str(folder / "my_kernels"), *words]) == 0
+def copied(name, folder, *options):
+    assert main(["kernels", "copy", name, str(folder / "my_kernels"), *options]) == 0
     return {
         path.relative_to(folder / "my_kernels").as_posix()
         for path in (folder / "my_kernels").rglob("*")
@@ -264,7 +264,7 @@ def test_variants_are_declared_once_by_whichever_thread():
     assert len(set(map(id, declared))) == 1 and list(declared[0].module.kernels.values()) == [declared[0]]
     modules = warp_modules("render/views")
     assert len({module.name for module in modules}) == len(modules) == 11
-    assert declared[0].module.name == "warpcage.kernels.render.views.shades" and declared[0].module in modules
+    assert declared[0].module.name == "warpcage.kernels.render.views.shaded" and declared[0].module in modules
 
 
 def test_no_variant_is_declared_before_it_is_used():
@@ -355,8 +355,8 @@ def test_copied_groups_are_complete(tmp_path):
 def test_host_code_is_what_the_call_needs():
     """Nothing where kernels call the functions themselves; for maps the lattice, the meshes, and what they stand on."""
     assert not any(map(host_modules, ("core", "coordinates", "view")))
-    rooms = {name.partition("/")[0] for name in host_modules("lattice")}
-    assert rooms == {"core", "errors", "lattice", "mesh", "package"}
+    packages = {name.partition("/")[0] for name in host_modules("lattice")}
+    assert packages == {"coordinate_kinds", "core", "errors", "lattice", "mesh", "package"}
     assert {"lattice/harmonic", "lattice/solver", "lattice/position_map"} <= set(host_modules("lattice"))
 
 
@@ -374,17 +374,17 @@ def test_a_file_comes_with_what_runs_it_or_alone(tmp_path, capsys):
     assert "coordinates.green" not in text and "- `mean_value_position(x, vertices, faces, fans, targets" in text
 
 
-@pytest.mark.parametrize("words", [(), ("--alone",)])
+@pytest.mark.parametrize("options", [(), ("--alone",)])
 @pytest.mark.parametrize("group", GROUPS)
-def test_readmes_say_how_kernels_are_launched(group, words, tmp_path):
+def test_readmes_say_how_kernels_are_launched(group, options, tmp_path):
     """What `first`, `span` and structs are, and where cages are to be; alone, what each kernel takes."""
-    alone = {"lattice": "harmonic", "render": "views"}.get(group, group) if words else group
-    files = copied(alone, tmp_path, *words)
+    alone = {"lattice": "harmonic", "render": "views"}.get(group, group) if options else group
+    files = copied(alone, tmp_path, *options)
     text = (tmp_path / "my_kernels" / group / "README.md").read_text(encoding="utf-8")
     for said in ("`first`", "`span`", "Structs", "Near the origin", "record_tape=False"):
         assert said in text
     assert text.startswith((FOLDER / group / "README.md").read_text(encoding="utf-8").partition("\n")[0])
-    if words and alone == "harmonic":
+    if options and alone == "harmonic":
         assert "- `relax_laplace(first, span, level, color, system)`: Half a Gauss-Seidel sweep" in text
     assert ("my_kernels.host" in text) == any("host/" in each for each in files)
 

@@ -1,4 +1,4 @@
-"""Words that depend on a number agree with it, wherever lines and messages count; wrong names are told right ones."""
+"""Nouns agree with their number in messages; for a wrong name the nearest one is suggested."""
 
 import numpy as np
 import pytest

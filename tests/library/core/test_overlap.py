@@ -13,11 +13,11 @@ from messages import MESSAGES
 from refusals import refused
 from runs import DEFORMED, SMALL, run, succeed
 
-import warpcage.view.film as film
+import warpcage.studio.films.video as film
 from warpcage import Deformer
 from warpcage.core import SPARE, BackgroundWriter, stream
 from warpcage.studio.films import render as commands
-from warpcage.view import write_film
+from warpcage.studio.films.video import write_film
 
 #: Seconds until a test that hangs fails.
 PATIENCE = 60.0
@@ -236,10 +236,10 @@ def count_frames(monkeypatch, before):
     """A list that grows by each frame that is rendered; before: what is done before some of them, by number."""
     render, count = Deformer.render, []
 
-    def counted(self, *words, **options):
+    def counted(self, *arguments, **options):
         count.append(1)
         before.get(len(count), lambda: None)()
-        return render(self, *words, **options)
+        return render(self, *arguments, **options)
 
     monkeypatch.setattr(Deformer, "render", counted)
     return count

@@ -111,12 +111,12 @@ def test_launches_in_turn_keep_their_own_arguments(device):
 
 def test_labels_of_kernels_and_of_variants():
     kernels = [sort_tiles, part_kernel(True, False), stack_kernel(True), image_kernel(False), follow_line]
-    expected = ["tile_order.sort_tiles", "views.shades+part", "views.stack+simple", "march.rows"]
+    expected = ["tile_order.sort_tiles", "views.shaded+part", "views.stack+simple", "march.rows"]
     assert [kernel_label(kernel) for kernel in kernels] == [*expected, "test_repeated_launch.follow_line"]
 
 
 def test_records_what_is_launched(device):
-    """Once each, in their order: whoever launches, in however many pieces a CPU takes it, but not what is nothing."""
+    """Once each, in their order, by any launcher and in any number of parts, but not empty launches."""
     line, none = line_of(np.arange(1000.0), 1.0, device), wp.vec3(0.0, 0.0, 0.0)
     found, order = wp.zeros(1000, dtype=float, device=device), wp.zeros(4, dtype=wp.int32, device=device)
     label, repeated = "test_repeated_launch.follow_line", RecordedLaunch(follow_line, device)

@@ -83,7 +83,7 @@ def parts_by_marches(deformer, camera, monkeypatch, **options):
     """Views by each march, one edit after the other, against the march of all at once: name of the march, labels of
     its launches, whether it shades voxels, the frame of all at once."""
     for march, marched, by_parts, at_once in seen_by_marches(deformer, camera, monkeypatch, **options):
-        shades = {label in ("views.shades+part", "views.shades+sides+part") for label in marched}
+        shades = {label in ("views.shaded+part", "views.shaded+sides+part") for label in marched}
         assert len(shades) == 1
         assert_alike(by_parts, at_once, shades == {True})
         yield march, marched, shades == {True}, at_once
@@ -118,7 +118,7 @@ def test_edits_one_by_one_are_seen_as_all_at_once(scene, device, monkeypatch):
             is_far = np.linalg.norm(eye) > 1.5
             turns_over = scene == "with a slot"  # the map, where its slot closes
             assert is_shaded == (march == "shaded" and is_far and not turns_over)
-            table = "shades" if is_shaded else "rows"
+            table = "shaded" if is_shaded else "rows"
             assert marched.count(f"views.{table}+sides+part") == gaps
             assert marched.count(f"views.{table}+part") == len(rests) - gaps > 0
             assert gaps > 0 or scene != "with a slot"

@@ -33,7 +33,7 @@ def single_by_marches(deformer, camera, monkeypatch, **options):
     """Views by each march for one edit: its name, its frame, and that of the march for any number."""
     for march, marched, single, general in seen_by_marches(deformer, camera, monkeypatch, **options):
         edits = deformer.posed_edits()
-        table = "shades" if edits.plan.is_shaded else "rows"
+        table = "shaded" if edits.plan.is_shaded else "rows"
         sides = "+sides" if edits.tables.edits[0].has_sides else ""
         assert marched == [TILES if march == "tiles" else f"views.{table}{sides}"]
         yield march, single, general

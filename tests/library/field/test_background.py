@@ -45,7 +45,7 @@ def test_faces_join_without_a_seam(device):
 
 
 @pytest.mark.parametrize(
-    "change, word",
+    "change, message",
     [
         ({"half": 0.0}, "half side"),
         ({"side": 1}, "2 cells"),
@@ -55,9 +55,9 @@ def test_faces_join_without_a_seam(device):
         ({"center": (0, np.inf, 0)}, "center"),
     ],
 )
-def test_bad_backgrounds(change, word):
+def test_bad_backgrounds(change, message):
     given = {"center": (0, 0, 0), "half": 1.0, "side": 2, "values": np.zeros((3, 26, 4))} | change
-    refused(lambda: LayeredBackground(**given), match=word)
+    refused(lambda: LayeredBackground(**given), match=message)
 
 
 def test_gradients_match_finite_differences(device):
@@ -299,8 +299,12 @@ def test_what_stands_behind_is_chosen():
     assert chosen_background(whole, "outer") == (False, "outer")
     assert chosen_background(whole, "constant") == (False, None)
     assert chosen_background(split, "random") == (True, None)
-    for scene, kind, word in ((cut, "layers", "split"), (whole, "random", "no opacity"), (whole, "sky", "not known")):
-        refused(functools.partial(warpcage.fit, scene, background=kind, progress=False), match=word)
+    for scene, kind, message in (
+        (cut, "layers", "split"),
+        (whole, "random", "no opacity"),
+        (whole, "sky", "background must be one of auto"),
+    ):
+        refused(functools.partial(warpcage.fit, scene, background=kind, progress=False), match=message)
 
 
 def test_layers_keep_within_the_memory_given():
@@ -364,8 +368,8 @@ def test_a_fit_with_layers_goes_on_from_its_checkpoint(tmp_path):
 
 def test_the_way_on_the_command_line(tmp_path, capsys):
     folder, field = write_room(tmp_path / "dtu", 17, 24), tmp_path / "room.npz"
-    words = ["--resolution", "24", "--epochs", "3", "--quiet"]
-    assert main(["fit", str(folder), "-o", str(field), "--split-masks", *words]) == 0
+    arguments = ["--resolution", "24", "--epochs", "3", "--quiet"]
+    assert main(["fit", str(folder), "-o", str(field), "--split-masks", *arguments]) == 0
     assert "16 background layers" in capsys.readouterr().out
     assert main(["info", str(field)]) == 0
     assert "16 layers of 6x" in capsys.readouterr().out
@@ -382,7 +386,7 @@ def test_the_way_on_the_command_line(tmp_path, capsys):
     assert main(["render", str(field), "-o", str(tmp_path / "grey.png"), *view, "--background", "grey"]) == 0
     layers, grey = (read_image(tmp_path / f"{name}.png") for name in ("layers", "grey"))
     assert np.ptp(layers[0], axis=0).max() > 0.1 and np.ptp(grey[0], axis=0).max() < 0.01
-    assert main(["fit", str(folder), "-o", str(tmp_path / "cut.npz"), "--background", "layers", *words]) == 2
+    assert main(["fit", str(folder), "-o", str(tmp_path / "cut.npz"), "--background", "layers", *arguments]) == 2
     assert "split" in capsys.readouterr().err
 
 

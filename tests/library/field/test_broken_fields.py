@@ -118,12 +118,12 @@ BEHIND = {
     ],
 }
 FIELDS = {
-    **{name: [("", members(arrays), words) for arrays, words in group] for name, group in BEHIND.items()},
+    **{name: [("", members(arrays), message) for arrays, message in group] for name, group in BEHIND.items()},
     "field": [
         ("", cut(0.0), f"{NO_FIELD}: | an empty file"),
         *(("", cut(share), f"{NO_FIELD}: | cut off or damaged") for share in (0.1, 0.5, 0.9, 0.999)),
-        *(("", members(arrays), words) for arrays, words in ARRAYS),
-        *(("", npz(header(descr, shape), bytes(80)), words) for descr, shape, words in HEADERS),
+        *(("", members(arrays), message) for arrays, message in ARRAYS),
+        *(("", npz(header(descr, shape), bytes(80)), message) for descr, shape, message in HEADERS),
         ("", npz(header("'<f8'", "(536870812,)"), bytes(80), claimed=2**32 - 900),
          "'density.npy' claims 4294966396 bytes out of"),
         ("", npz(" " * (1 << 24), version=(2, 0)), "a header of 16777216 bytes"),
@@ -132,16 +132,16 @@ FIELDS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name, file, damage, words", rows(FIELDS))
-def test_wrong_field_files(tmp_path, name, file, damage, words):
-    require_refused(name, tmp_path, {file: damage(whole(name)[file])}, words)
+@pytest.mark.parametrize("name, file, damage, message", rows(FIELDS))
+def test_wrong_field_files(tmp_path, name, file, damage, message):
+    require_refused(name, tmp_path, {file: damage(whole(name)[file])}, message)
 
 
 def test_archives_that_hold_much_in_little(tmp_path, monkeypatch):
     path = tmp_path / "bomb.npz"
     path.write_bytes(npz(header("'<f8'", "(1000000,)"), bytes(8 * 10**6))(b""))  # 8 kB hold 8 MB
     assert path.stat().st_size < 20_000
-    monkeypatch.setattr("warpcage.core.files.free_host_bytes", lambda: 10**6)
+    monkeypatch.setattr("warpcage.core.npz.free_host_bytes", lambda: 10**6)
     refused(lambda: VoxelField.load(path), "bomb.npz", "its arrays claim 0.0 GiB", "0.0 GiB are free")
     np.savez_compressed(path, a=np.zeros(1000, np.uint8))
     data = bytearray(path.read_bytes())
@@ -176,7 +176,7 @@ SAVES = """
     import os, pathlib, resource, signal, sys
     import numpy as np
     from warpcage import Cage, VoxelField
-    from warpcage.view.film import write_gif, write_video
+    from warpcage.studio.films.video import write_gif, write_video
     from warpcage.view.pictures import write_png
     rng = np.random.default_rng(0)
     density = np.ones((24, 24, 24))
@@ -228,8 +228,8 @@ def saved(tmp_path_factory):
         (root / way / "field.npz").write_bytes(whole("field")["field.npz"])
     for name in NAMES:
         (root / "save_all" / name).write_bytes(b"previous")
-    words = [sys.executable, "-W", "ignore", "-c", textwrap.dedent(SAVES), str(root)]
-    child = subprocess.run(words, capture_output=True, text=True, timeout=120)
+    command = [sys.executable, "-W", "ignore", "-c", textwrap.dedent(SAVES), str(root)]
+    child = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert child.returncode == 0, child.stderr
     return root, [tuple(line.split()) for line in child.stdout.splitlines()]
 
@@ -241,12 +241,16 @@ def test_a_full_disk_leaves_the_previous_file(saved):
     assert all((root / "save_all" / name).read_bytes() == b"previous" for name in NAMES)
 
 
-@pytest.mark.parametrize("how, ended", [("killed_at_the_end", signal.SIGKILL), ("killed_in_between", signal.SIGXFSZ)])
-def test_a_killed_process_leaves_the_previous_file(saved, how, ended):
+@pytest.mark.parametrize(
+    "moment, ended", [("killed_at_the_end", signal.SIGKILL), ("killed_in_between", signal.SIGXFSZ)]
+)
+def test_a_killed_process_leaves_the_previous_file(saved, moment, ended):
     root, said = saved
-    assert (how, str(-ended)) in said
-    assert (root / how / "field.npz").read_bytes() == whole("field")["field.npz"]
-    assert len(list((root / how).iterdir())) == 2  # what the dead process had written lies beside it, by another name
+    assert (moment, str(-ended)) in said
+    assert (root / moment / "field.npz").read_bytes() == whole("field")["field.npz"]
+    assert (
+        len(list((root / moment).iterdir())) == 2
+    )  # what the dead process had written lies beside it, by another name
 
 
 def test_a_folder_that_takes_no_files_is_named_with_the_file(tmp_path, monkeypatch):

@@ -203,16 +203,16 @@ def test_from_dense_keeps_what_interpolation_reaches(device):
 
 
 @pytest.mark.parametrize(
-    "contents, word",
+    "contents, message",
     [
         ({"a": np.zeros(2)}, "neither"),
         ({"format": "warpcage", "version": 99}, "version 99"),
         ({"format": "warpcage", "version": 1}, "lacks"),
     ],
 )
-def test_bad_files_are_named(tmp_path, contents, word):
+def test_bad_files_are_named(tmp_path, contents, message):
     np.savez(tmp_path / "bad.npz", **contents)
-    refused(lambda: warpcage.VoxelField.load(tmp_path / "bad.npz"), match=word)
+    refused(lambda: warpcage.VoxelField.load(tmp_path / "bad.npz"), match=message)
 
 
 def test_file_errors(tmp_path):

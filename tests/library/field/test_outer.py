@@ -307,7 +307,7 @@ def test_voxels_that_may_hold_matter(device):
 
 
 @pytest.mark.parametrize(
-    "change, word",
+    "change, message",
     [
         ({"half": (1, 0, 1)}, "positive"),
         ({"center": (0, np.inf, 0)}, "center"),
@@ -318,14 +318,14 @@ def test_voxels_that_may_hold_matter(device):
         ({"sky": (0, np.nan, 0)}, "sky"),
     ],
 )
-def test_bad_outer_fields(change, word):
+def test_bad_outer_fields(change, message):
     given = {
         "center": (0, 0, 0),
         "half": (1, 1, 1),
         "links": np.full((4, 4, 4), -1),
         "values": np.zeros((1, 4)),
     } | change
-    refused(lambda: OuterField(**given), match=word)
+    refused(lambda: OuterField(**given), match=message)
 
 
 def test_the_room_is_its_object_before_its_walls():

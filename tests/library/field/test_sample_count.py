@@ -1,4 +1,4 @@
-"""Samples of a march, counted by hand."""
+"""Samples of a march, counted manually."""
 
 import numpy as np
 import warp as wp

@@ -143,8 +143,8 @@ def test_select_from_the_command_line(files, table, lamp, capsys):
     table.camera((-2.2, 1.0, 1.4), 48).resized(48, 48)
     warpcage.CameraFile([table.camera()]).save(files / "camera.json")
     column, row = table.pixel_of(table.camera(), LAMP)
-    words = ("--camera", "@camera.json", "--pixel", column, row)
-    succeed(files, "select", "@table.npz", "-o", "@two.json", *words)
+    arguments = ("--camera", "@camera.json", "--pixel", column, row)
+    succeed(files, "select", "@table.npz", "-o", "@two.json", *arguments)
     assert np.array_equal(NodeSelection.load(files / "two.json", table.field).mask, lamp.mask)
     ball = table.world((0.4, -0.3, -0.05)).tolist()
     succeed(files, "select", "@table.npz", "-o", "@ball.npz", "--sphere", *ball, 0.25)
@@ -153,8 +153,8 @@ def test_select_from_the_command_line(files, table, lamp, capsys):
     turns = np.arange(6) * np.pi / 3
     views = [table.camera((2.9 * np.cos(a), 2.9 * np.sin(a), 1.7), 60) for a in turns]
     warpcage.CameraFile(views).save(files / "views.json")
-    words = ("--depth", 2.5, 4.2, "--views", "@views.json", "--parts", 1)
-    succeed(files, "select", "@table.npz", "-o", "@near.npz", *words)
+    arguments = ("--depth", 2.5, 4.2, "--views", "@views.json", "--parts", 1)
+    succeed(files, "select", "@table.npz", "-o", "@near.npz", *arguments)
     assert set(table.labels[NodeSelection.load(files / "near.npz", table.field).mask.ravel()].tolist()) == {LAMP}
 
 
@@ -172,8 +172,8 @@ def test_commands_take_a_selection(files, table, lamp, capsys):
     ends = np.rint((alone.bounds - lamp.bounds[0]) / lamp.voxel_size).astype(int)
     assert np.array_equal(alone.node_densities() > 0, lamp.mask[tuple(map(slice, *ends))])
     assert np.count_nonzero(alone.node_densities() > 0) == np.count_nonzero(lamp.mask)
-    words = ("--cage", "@lamp.obj", "--posed", "scale:0.8", "--voxels", "32", "--resolution", "24")
-    succeed(files, "bake", "@table.npz", "-o", "@small.npz", "--selection", "@lamp.npz", *words)
+    arguments = ("--cage", "@lamp.obj", "--posed", "scale:0.8", "--voxels", "32", "--resolution", "24")
+    succeed(files, "bake", "@table.npz", "-o", "@small.npz", "--selection", "@lamp.npz", *arguments)
     small = warpcage.VoxelField.load(files / "small.npz", device="cpu")
     assert np.ptp(small.bounds, axis=0).max() < 0.95  # the table is not there
     succeed(
@@ -183,7 +183,7 @@ def test_commands_take_a_selection(files, table, lamp, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("arguments", "message"),
     [
         (("select", "@table.npz", "-o", "@n.npz"), "needs a click"),
         (("select", "@table.npz", "-o", "@n.txt", "--point", 0, 0, 0), "must end in .npz or .json"),
@@ -199,9 +199,9 @@ def test_commands_take_a_selection(files, table, lamp, capsys):
         (("edit", "--demo", "--selection", "@lamp.npz"), "brings its own"),
     ],
 )  # fmt: skip
-def test_refusals_in_one_line(files, capsys, words, message):
+def test_refusals_in_one_line(files, capsys, arguments, message):
     warpcage.Cage.box((0, 0, 0), (1, 1, 1)).save(files / "lamp.obj")
-    assert run(files, *words) == 2
+    assert run(files, *arguments) == 2
     said = capsys.readouterr().err.strip()
     assert message in said and said.startswith("warpcage: error:") and "\n" not in said
     assert not list(files.glob("n.*"))
@@ -247,8 +247,8 @@ def test_from_pictures_to_a_lamp_that_moved(tmp_path, device):
     column, row = np.floor(view.project(np.array([[0.0, -0.15, 0.28]]))[0][0]).astype(int)
     click = ("--camera", "@view.json", "--pixel", column, row)
     succeed(tmp_path, "select", "@table.npz", "-o", "@lamp.npz", *click, "--device", device)
-    words = ("--selection", "@lamp.npz", "--vertices", "60", "--device", device)
-    succeed(tmp_path, "cage", "@table.npz", "-o", "@lamp.obj", *words)
+    arguments = ("--selection", "@lamp.npz", "--vertices", "60", "--device", device)
+    succeed(tmp_path, "cage", "@table.npz", "-o", "@lamp.obj", *arguments)
 
     cage, offset = warpcage.Cage.load(tmp_path / "lamp.obj"), np.array([0.2, 0.1, 0.3])
     posed = cage.translate(offset)

@@ -69,8 +69,8 @@ def test_normals_look_outward_and_seams_join_again(files):
 def test_a_texture_goes_with_a_film(files):
     import json
 
-    words = ["--cage", "@cage.obj", "--posed", "@posed.obj", "--frames", "3", "--coordinates", "mean_value"]
-    succeed(files, "mesh", "@ball.npz", "--faces", "100", "--texture", "64", *words, "-o", "@walk.gltf")
+    arguments = ["--cage", "@cage.obj", "--posed", "@posed.obj", "--frames", "3", "--coordinates", "mean_value"]
+    succeed(files, "mesh", "@ball.npz", "--faces", "100", "--texture", "64", *arguments, "-o", "@walk.gltf")
     document = json.loads((files / "walk.gltf").read_text())
     assert document["animations"] and document["images"][0]["mimeType"] == "image/png"
     attributes = document["meshes"][0]["primitives"][0]["attributes"]
@@ -99,15 +99,15 @@ def test_few_faces_are_as_few_in_any_unit_of_length(files, unit):
     np.testing.assert_allclose(light.vertices / unit, expected.vertices, atol=1e-5)
 
 
-@pytest.mark.parametrize("words", [["-o", "@a.usdc"], ["-o", "@a.ply"], ["--colors", "-o", "@a.glb"]])
-def test_textures_are_for_gltf_alone(files, words, capsys):
-    assert run(files, "mesh", "@ball.npz", "--texture", "64", *words) == 2
+@pytest.mark.parametrize("arguments", [["-o", "@a.usdc"], ["-o", "@a.ply"], ["--colors", "-o", "@a.glb"]])
+def test_textures_are_for_gltf_alone(files, arguments, capsys):
+    assert run(files, "mesh", "@ball.npz", "--texture", "64", *arguments) == 2
     assert "--texture is for glTF" in capsys.readouterr().err
 
 
 def test_without_their_libraries_it_is_said_what_to_install(files, monkeypatch, capsys):
     for name in ("xatlas", "fast_simplification"):
         monkeypatch.setitem(sys.modules, name, None)
-    for words in (["--texture", "64"], ["--faces", "100"]):
-        assert run(files, "mesh", "@ball.npz", *words, "-o", "@a.glb") == 2
+    for arguments in (["--texture", "64"], ["--faces", "100"]):
+        assert run(files, "mesh", "@ball.npz", *arguments, "-o", "@a.glb") == 2
         assert 'pip install "warpcage[texture]"' in capsys.readouterr().err

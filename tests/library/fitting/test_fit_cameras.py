@@ -227,7 +227,7 @@ def test_alignments_undo_a_similarity():
     assert max(map(np.max, pose_errors(poses, moved))) < 1e-6
     np.testing.assert_allclose(picture_shifts(found.moved_poses(poses), moved, there), 0, atol=1e-9)
     same_place = poses.copy()
-    same_place[:, :3, 3] = 1.0  # all in one place: their axes alone tell
+    same_place[:, :3, 3] = 1.0  # all in one place: only their axes count
     assert aligning_similarity(same_place, motion.moved_poses(same_place)).scale == 1.0
 
 

@@ -46,7 +46,7 @@ def grey(count=2):
 
 
 @pytest.mark.parametrize(
-    "change, words",
+    "change, message",
     [
         ({"images": grey()[:0], "cameras": []}, "at least one image"),
         ({"images": [], "cameras": []}, "at least one image"),
@@ -61,24 +61,24 @@ def grey(count=2):
         ({"cameras": around(2, size=8)}, "is 8x8, images are 16x16"),
     ],
 )
-def test_scenes_that_are_refused(change, words):
-    refused(lambda: Scene(**{"images": grey(), "alphas": None, "cameras": around(2)} | change), match=words)
+def test_scenes_that_are_refused(change, message):
+    refused(lambda: Scene(**{"images": grey(), "alphas": None, "cameras": around(2)} | change), match=message)
 
 
 @pytest.mark.parametrize("name", ["fx", "fy"])
 @pytest.mark.parametrize(
-    "focal, words",
+    "focal, message",
     [(0.0, "positive"), (-3.0, "positive"), (np.nan, "finite"), (np.inf, "finite"), (None, "finite"), ("9", "finite")],
 )
-def test_focal_lengths_that_are_refused(name, focal, words):
-    refused(lambda: dataclasses.replace(around(1)[0], **{name: focal}), match=words)
+def test_focal_lengths_that_are_refused(name, focal, message):
+    refused(lambda: dataclasses.replace(around(1)[0], **{name: focal}), match=message)
 
 
 SHEAR = np.eye(4) + 0.2 * np.eye(4, k=1)
 
 
 @pytest.mark.parametrize(
-    "pose, words",
+    "pose, message",
     [
         (np.zeros((4, 4)), "rotation"),
         (2 * np.eye(4), "rotation"),
@@ -89,15 +89,15 @@ SHEAR = np.eye(4) + 0.2 * np.eye(4, k=1)
         (np.diag([1.0, 1, 1, 0]), "row 0 0 0 1"),
     ],
 )
-def test_poses_that_are_refused(pose, words):
-    refused(lambda: Camera(20, 20, 8, 8, 16, 16, pose), match=words)
+def test_poses_that_are_refused(pose, message):
+    refused(lambda: Camera(20, 20, 8, 8, 16, 16, pose), match=message)
 
 
 # What a fit refuses
 
 
 @pytest.mark.parametrize(
-    "options, words",
+    "options, message",
     [
         ({"bounds": [1, 2]}, "bounds must be"),
         ({"bounds": [[0, 0, 0], [1, 1, 0]]}, "lower below upper"),
@@ -123,8 +123,8 @@ def test_poses_that_are_refused(pose, words):
         ({"max_resolution": 4}, "max_resolution"),
     ],
 )
-def test_options_that_are_refused(options, words):
-    refused(lambda: FieldOptimizer(seen(around(2)), **options), match=words)
+def test_options_that_are_refused(options, message):
+    refused(lambda: FieldOptimizer(seen(around(2)), **options), match=message)
 
 
 def test_nothing_but_background_is_refused():
@@ -150,7 +150,7 @@ def test_cameras_in_one_place_that_look_around_need_bounds():
     angles, lens = 2 * np.pi * np.arange(6) / 6, {"fov_degrees": 80, "width": SIZE, "height": SIZE}
     ahead = np.stack([np.cos(angles), np.sin(angles), 0.2 * np.sin(3 * angles)], axis=1)
     cameras = [Camera.look_at([0, 0, 0], each, **lens) for each in ahead]
-    refused(lambda: fit(Scene(grey(6), None, cameras), **QUICK), match="do not tell the size .* give the bounds")
+    refused(lambda: fit(Scene(grey(6), None, cameras), **QUICK), match="do not determine .* give the bounds")
     with pytest.raises(ValueError, match="size of what they look at"):
         fit(Scene(grey(1), None, [dataclasses.replace(cameras[0], fx=1e30, fy=1e30)]), **QUICK)
 

@@ -90,9 +90,9 @@ def test_gradient_by_warps_is_the_same(device, side, density_scale):
     cameras = [warpcage.Camera.look_at(eye, [0, 0, 0.3], **lens) for eye in eyes]
     random = np.random.default_rng(0)
     rays = training_rays(cameras, random.random((3, 5, 7, 3)), random.random((3, 5, 7)), field, device, side)
-    how = {"random_background": 1, "seed": 5, "stop": 1e-4}
-    expected, expected_error = photometric_gradient(field, rays, 144, **how)
-    found, found_error = photometric_gradient(field, rays, 144, by_warps=True, **how)
+    options = {"random_background": 1, "seed": 5, "stop": 1e-4}
+    expected, expected_error = photometric_gradient(field, rays, 144, **options)
+    found, found_error = photometric_gradient(field, rays, 144, by_warps=True, **options)
     np.testing.assert_allclose(found_error, expected_error, atol=2e-4, rtol=2e-4)  # marches end at other samples
     assert (np.abs(found - expected) < 1e-3 * np.abs(expected).max(axis=0)).all()
 

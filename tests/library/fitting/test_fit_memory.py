@@ -81,7 +81,7 @@ def test_estimates_match_what_is_allocated(scene, device):
         if foretold:
             assert shape == foretold[1]
             assert held <= foretold[0].level_bytes(rows, shape) <= 1.1 * (held + passing)
-    # by hand: 25 numbers of gradient for each thread and of 16-bit moments, a mark, 25 of the field and 3 of its place
+    # counted: 25 numbers of gradient for each thread and of 16-bit moments, a mark, 25 of the field and 3 of its place
     assert own.row == 25 * 4 * optimizer.shards + 25 * 2 + 1 + 25 * 4 + 12
     assert own.node == pytest.approx(4 + 1, rel=0.1)
 

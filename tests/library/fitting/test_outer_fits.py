@@ -157,8 +157,8 @@ def test_a_fit_goes_on_where_the_sky_alone_is_left(device, tmp_path):
 
 def test_the_way_on_the_command_line(tmp_path, capsys):
     folder, field = write_room(tmp_path / "dtu", 17, 24), tmp_path / "room.npz"
-    words = ["--resolution", "24", "--epochs", "3", "--quiet"]
-    assert main(["fit", str(folder), "-o", str(field), "--no-masks", *words]) == 0  # by itself for whole pictures
+    arguments = ["--resolution", "24", "--epochs", "3", "--quiet"]
+    assert main(["fit", str(folder), "-o", str(field), "--no-masks", *arguments]) == 0  # by itself for whole pictures
     assert "voxels around it in 24^3" in capsys.readouterr().out
     assert main(["info", str(field)]) == 0
     assert "voxels in 24^3 of contracted space" in capsys.readouterr().out
@@ -173,7 +173,7 @@ def test_the_way_on_the_command_line(tmp_path, capsys):
         assert main(["render", str(baked), "-o", str(tmp_path / name), *view[:2], *more]) == 0
     seen, dark = (read_image(tmp_path / name)[..., :3] for name in ("b.png", "black.png"))
     assert (dark[0] == 0).all() and seen[0].min() > 0.02  # the walls are there
-    assert main(["fit", str(folder), "-o", str(tmp_path / "cut.npz"), "--background", "outer", *words]) == 2
+    assert main(["fit", str(folder), "-o", str(tmp_path / "cut.npz"), "--background", "outer", *arguments]) == 2
     assert "whole pictures" in capsys.readouterr().err
 
 

@@ -162,7 +162,7 @@ def test_an_outer_field_goes_with_refined_cameras(device):
     assert len(tuned_scene(field, scene)) == 6
 
 
-def test_what_is_around_the_field_tells_cameras_too(device, monkeypatch):
+def test_what_is_around_the_field_refines_cameras_too(device, monkeypatch):
     """The sums of whole pictures against finite differences of their error, layers behind the field included."""
     monkeypatch.setattr(cameras_module, "OUTLIER", 1e6)  # each ray counts alike
     scene = blob_scene(6, 24, with_alpha=False)
@@ -211,7 +211,7 @@ def test_pictures_of_one_camera_share_their_lens(bricks):
 @pytest.mark.parametrize("chosen", [True, "auto"])
 def test_checkpoints_hold_refined_cameras(tmp_path, monkeypatch, chosen):
     """A fit that goes on from its checkpoint ends where the whole one does, to the bit."""
-    monkeypatch.setattr(cameras_module, "OFF_COSINE", 0.0)  # few and small pictures tell little
+    monkeypatch.setattr(cameras_module, "OFF_COSINE", 0.0)  # few and small pictures show little
     scene = turned_in_place(blob_scene(12, 24), 1.0)
     options = {
         "device": "cpu",
@@ -250,7 +250,7 @@ def test_the_option_is_yes_or_no():
 
 def test_commands_write_read_and_tune_cameras(tmp_path, capsys):
     write_brick_scene(tmp_path / "scene", train_views=6, test_views=2, size=24)
-    words = [
+    arguments = [
         "fit",
         tmp_path / "scene",
         "-o",
@@ -260,9 +260,9 @@ def test_commands_write_read_and_tune_cameras(tmp_path, capsys):
         "--resolution",
         24,
     ]
-    assert main([*(str(word).replace("refine-cam", "check-cam") for word in words), "--epochs", "2"]) == 0
+    assert main([*(str(each).replace("refine-cam", "check-cam") for each in arguments), "--epochs", "2"]) == 0
     assert "refined camera" not in capsys.readouterr().out  # these are exact
-    assert main([str(word) for word in [*words, "--epochs", 2]]) == 0
+    assert main([str(each) for each in [*arguments, "--epochs", 2]]) == 0
     assert "bricks.cameras.json: 6 refined cameras" in capsys.readouterr().out
     held = CameraFile.load(tmp_path / "bricks.cameras.json")
     scene = warpcage.load_scene(tmp_path / "scene")
@@ -282,14 +282,14 @@ def test_commands_write_read_and_tune_cameras(tmp_path, capsys):
     with pytest.raises(ValueError, match=MESSAGES["fitting.whole_factor"]):
         scene.with_cameras([dataclasses.replace(camera, width=40, height=20) for camera in scene.cameras])
 
-    words = ["evaluate", tmp_path / "bricks.npz", tmp_path / "scene", "--quiet"]
+    arguments = ["evaluate", tmp_path / "bricks.npz", tmp_path / "scene", "--quiet"]
     for more, moved in ([], True), (["--given-cameras"], False):
-        assert main([str(word) for word in [*words, *more, "--json", tmp_path / "report.json"]]) == 0
+        assert main([str(each) for each in [*arguments, *more, "--json", tmp_path / "report.json"]]) == 0
         said, report = capsys.readouterr().out, json.loads((tmp_path / "report.json").read_text())
         assert ("moved as the refined ones near them" in said) == report["moved_cameras"] == moved
         assert (report["mean_psnr_given"] is not None) == ("as they were given the mean is" in said) == moved
 
-    words.append("--tune-cameras")
-    assert main([str(word) for word in [*words, "--json", tmp_path / "tuned.json"]]) == 0
+    arguments.append("--tune-cameras")
+    assert main([str(each) for each in [*arguments, "--json", tmp_path / "tuned.json"]]) == 0
     assert "were fitted to the field" in capsys.readouterr().out
     assert json.loads((tmp_path / "tuned.json").read_text())["tuned_cameras"] is True

@@ -148,7 +148,7 @@ def test_damaged_progress_is_refused(tmp_path):
         ({"background": "layers"}, "background must be one of auto"),
         ({"bounds": [[0, 0, 0], [1, 1, 1]]}, "bounds are for voxels"),
         ({"max_memory": "1MB"}, "max_memory"),
-        ({"antialias": 1}, "antialias must be True or False"),
+        ({"antialias": 1}, "antialias must be true or false"),
         ({"exposure": "auto"}, "exposure must be True, False or None"),
         ({"representation": "mesh"}, "representation must be one of"),
     ],

@@ -94,7 +94,7 @@ def test_many_points_are_drawn_from():
 def test_points_on_each_other_and_far_off():
     points = np.concatenate([np.repeat(CENTER[None], 80, axis=0), lattice(0.1, 4), CENTER + [[1e6, 0, 0]]])
     start = start_of(plain_scene(cameras_around(), points=points))
-    count = len(points) - 1  # no camera tells anything about the last one
+    count = len(points) - 1  # no camera sees the last one
     assert len(start.centers) == count + count // 5 and np.array_equal(start.centers[:count], points[:-1])
     assert np.exp(start.log_scales).min() > 1e-5
     same = start_of(plain_scene(cameras_around(), points=np.repeat(CENTER[None], 120, axis=0)))
@@ -275,5 +275,5 @@ def test_units_of_parallel_single_and_turning_cameras():
         assert np.isfinite(focus).all() and unit == pytest.approx(1.0) and extent == pytest.approx(0.1)
     turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     outward = np.stack([np.cos(turn), np.sin(turn), np.zeros(12)], axis=1)
-    _, unit, extent = scene_units(shifted(0.3 * outward, outward))  # a hand's circle in the middle of a room
+    _, unit, extent = scene_units(shifted(0.3 * outward, outward))  # a handheld circle in the middle of a room
     assert unit == pytest.approx(0.3) and extent == pytest.approx(1.1)

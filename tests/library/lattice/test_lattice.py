@@ -162,9 +162,9 @@ def test_faces_near_blocks_are_those_of_a_search_through_all(name, side, device,
 @pytest.mark.parametrize("face_count", [512, 5_120, 82_000, 1_000_000])
 def test_bits_of_faces_take_little_beside_the_nodes_and_can_be_numbered(face_count, longest):
     side = block_faces.group_side(face_count, longest)
-    words, groups = block_faces.word_count(face_count), block_faces.block_count((longest, longest, longest), side)
-    assert side >= block_faces.GROUP_SIDE and 32 * words >= face_count
-    assert 4 * words <= block_faces.GROUP_BYTES * (4 * side) ** 3
-    assert 32 * words * groups <= 1 << 30
+    masks, groups = block_faces.mask_count(face_count), block_faces.block_count((longest, longest, longest), side)
+    assert side >= block_faces.GROUP_SIDE and 32 * masks >= face_count
+    assert 4 * masks <= block_faces.GROUP_BYTES * (4 * side) ** 3
+    assert 32 * masks * groups <= 1 << 30
     assert block_faces.block_count((17, 16, 1)) == 5 * 4 and block_faces.block_count((17, 16, 1), 4) == 2
     assert block_faces.group_side(5_120, 71) == 4 < block_faces.group_side(1_000_000, 71)

@@ -10,7 +10,7 @@ from oracles import look_up
 from test_position_map import inside_points, pose_noisily
 
 from warpcage import Cage, PositionMap
-from warpcage.lattice import MeanValueSolver, continue_to_rings
+from warpcage.lattice import VertexWeightSolver, continue_to_rings
 
 STEPS = np.array(list(itertools.product((0, 1), repeat=3)))
 
@@ -25,7 +25,7 @@ class Maps:
         self.corrected = PositionMap(self.rest, **options).pose(self.deformed)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(
-                MeanValueSolver,
+                VertexWeightSolver,
                 "continue_map",
                 lambda self, *inputs: continue_to_rings(self.lattice, self.nodes.levels, self.rows, *inputs),
             )

@@ -24,8 +24,8 @@ def slots():
     for kind, (row, (cells, bound)), (column, degrees) in itertools.product(
         KINDS, enumerate(bounds.items()), enumerate((0, 17, 33))
     ):
-        dear = kind == "harmonic" and row != column
-        yield pytest.param(kind, cells, degrees, (0.3, 0.2, 1), bound, marks=[pytest.mark.nightly] if dear else [])
+        is_slow = kind == "harmonic" and row != column
+        yield pytest.param(kind, cells, degrees, (0.3, 0.2, 1), bound, marks=[pytest.mark.nightly] if is_slow else [])
     # the formula sees the other wall and bends most there; at 40 degrees some cells have sides
     for degrees, axis in ((25, (1, 0.4, 0.2)), (70, (1, 0.2, -0.6))):
         yield "mean_value", 4, degrees, axis, 1e-3

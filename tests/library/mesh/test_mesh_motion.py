@@ -1,4 +1,4 @@
-"""Cages and meshes that move, in glTF and USD: what is written is read by trimesh, usd-core and by hand, and back."""
+"""Cages and meshes that move, in glTF and USD, read by trimesh, usd-core and the specification alone, and back."""
 
 import json
 import sys
@@ -28,7 +28,7 @@ def frames_of(file):
 
 
 def gltf_frames(path):
-    """Frames (n, v, 3), z up, and times of a .gltf file of one mesh, by the words of glTF 2.0 alone."""
+    """Frames (n, v, 3), z up, and times of a .gltf file of one mesh, by the specification of glTF 2.0 alone."""
     import base64
 
     document = json.loads(path.read_text())
@@ -159,8 +159,8 @@ def test_a_posed_mesh_in_one_step(files, ending, capsys):
 
     if ending in USD:
         pytest.importorskip("pxr")
-    words = ["--cage", "@cage.obj", "--posed", "@posed.obj", "--coordinates", "green"]
-    succeed(files, "mesh", "@ball.npz", *words, "-o", f"@posed{ending}")
+    options = ["--cage", "@cage.obj", "--posed", "@posed.obj", "--coordinates", "green"]
+    succeed(files, "mesh", "@ball.npz", *options, "-o", f"@posed{ending}")
     assert "frames" not in capsys.readouterr().out
     expected, _ = carried(files, Cage.load(files / "posed.obj"), "green")
     if ending in USD:
@@ -174,9 +174,9 @@ def test_a_posed_mesh_in_one_step(files, ending, capsys):
 
 def test_a_film_of_a_mesh_keeps_its_colors(files):
     pytest.importorskip("pxr")
-    words = ["--cage", "@cage.obj", "--posed", "@poses.json", "--coordinates", "mean_value"]
-    succeed(files, "mesh", "@ball.npz", *words, "-o", "@walk.gltf")
-    succeed(files, "mesh", "@ball.npz", *words, "-o", "@walk.usdc")
+    options = ["--cage", "@cage.obj", "--posed", "@poses.json", "--coordinates", "mean_value"]
+    succeed(files, "mesh", "@ball.npz", *options, "-o", "@walk.gltf")
+    succeed(files, "mesh", "@ball.npz", *options, "-o", "@walk.usdc")
     frames, times, held = usd_frames(files / "walk.usdc")
     np.testing.assert_allclose(times, np.arange(7) / 12)
     film = PoseFile.load(files / "poses.json")
@@ -208,7 +208,7 @@ def test_a_pose_file_becomes_a_cage_that_moves(files, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("options", "message"),
     [
         (["--cage", "@cage.obj", "--posed", "twist:20", "--frames", "5", "-o", "@a.ply"], "motion"),
         (["--frames", "5", "-o", "@a.glb"], "--frames needs a deformation"),
@@ -217,9 +217,9 @@ def test_a_pose_file_becomes_a_cage_that_moves(files, capsys):
         (["--edit", "@cage.obj:@posed.obj:keep", "-o", "@a.glb"], "bake"),
     ],
 )
-def test_what_a_mesh_cannot_follow_is_said(files, words, said, capsys):
-    assert run(files, "mesh", "@ball.npz", *words) == 2
-    assert said in capsys.readouterr().err
+def test_what_a_mesh_cannot_follow_is_reported(files, options, message, capsys):
+    assert run(files, "mesh", "@ball.npz", *options) == 2
+    assert message in capsys.readouterr().err
 
 
 def test_edits_take_points_along_one_after_the_other(device):

@@ -304,8 +304,8 @@ def test_points_are_no_mesh(tmp_path, kind):
 
 
 def read_tri(path):
-    words = np.array(path.read_text().split(), float).reshape(-1, 9)
-    points = words.reshape(-1, 3)
+    numbers = np.array(path.read_text().split(), float).reshape(-1, 9)
+    points = numbers.reshape(-1, 3)
     return points, np.arange(len(points)).reshape(-1, 3)
 
 
@@ -348,7 +348,7 @@ def test_formats_that_do_one_object_only(tmp_path, plugged):
 
 
 @pytest.mark.parametrize("wrong", [None, dataclasses.replace(TRI, endings=("TRI",)), dataclasses.replace(TRI, up="x")])
-def test_a_format_that_cannot_be_used_is_told_and_left_out(tmp_path, plugged, wrong):
+def test_a_format_that_cannot_be_used_is_reported_and_left_out(tmp_path, plugged, wrong):
     plugged(broken=wrong, tri=TRI)
     with pytest.warns(UserWarning, match="'broken' of package:broken cannot be"):
         BOX.save(tmp_path / "a.tri")

@@ -20,11 +20,11 @@ BACKWARD = (PlannedEdit(1, True), PlannedEdit(0, False))
 PLANS = {
     "one edit, near": (FrameFacts(ONE), FramePlan("edit", edits=WHOLE)),
     "with corner values": (FrameFacts(SIDES), FramePlan("edit", edits=GENERAL)),
-    "seen from afar": (FrameFacts(ONE, is_far=True), FramePlan("edit", table="shades", edits=WHOLE)),
-    "that lies right": (FrameFacts(ONE, is_far=True, is_folded=False), FramePlan("edit", table="shades", edits=WHOLE)),
+    "seen from afar": (FrameFacts(ONE, is_far=True), FramePlan("edit", table="shaded", edits=WHOLE)),
+    "that lies right": (FrameFacts(ONE, is_far=True, is_folded=False), FramePlan("edit", table="shaded", edits=WHOLE)),
     "turned over": (FrameFacts(ONE, is_far=True, is_folded=True), FramePlan("edit", edits=WHOLE)),
-    "too little memory": (FrameFacts(ONE, is_far=True, shades_fit=False), FramePlan("edit", edits=WHOLE)),
-    "seen from afar, corner values": (FrameFacts(SIDES, is_far=True), FramePlan("edit", table="shades", edits=GENERAL)),
+    "too little memory": (FrameFacts(ONE, is_far=True, colors_fit=False), FramePlan("edit", edits=WHOLE)),
+    "seen from afar, corner values": (FrameFacts(SIDES, is_far=True), FramePlan("edit", table="shaded", edits=GENERAL)),
     "on a CPU": (FrameFacts(ONE, by_tiles=True), FramePlan("parts", "tile", edits=WHOLE)),
     "on a CPU, seen from afar": (
         FrameFacts(SIDES, by_tiles=True, is_far=True),
@@ -38,7 +38,7 @@ PLANS = {
     "two apart, near": (FrameFacts(TWO, order=(1, 0)), FramePlan("parts", edits=BACKWARD)),
     "two apart, seen from afar": (
         FrameFacts(TWO, order=(1, 0), is_far=True),
-        FramePlan("parts", table="shades", edits=BACKWARD),
+        FramePlan("parts", table="shaded", edits=BACKWARD),
     ),
     "two apart, turned over": (
         FrameFacts(TWO, order=(1, 0), is_far=True, is_folded=True),
@@ -53,7 +53,7 @@ PLANS = {
 def test_a_plan_follows_from_facts(case):
     facts, plan = PLANS[case]
     assert plan_frame(facts) == plan
-    assert plan.is_shaded == (plan.table == "shades")
+    assert plan.is_shaded == (plan.table == "shaded")
 
 
 # -- The hops of a frame, as docs/architecture.md lists them
@@ -136,18 +136,18 @@ LAUNCHES = {
         [*DENSITIES, *EMPTY, *JOINED, "nodes.expand_map_cells", "views.rows"],
     ),
     ("one edit", "shaded"): (
-        [*AIM, *DENSITIES, *SHADES, "views.shades"],
+        [*AIM, *DENSITIES, *SHADES, "views.shaded"],
         [
             *(*DENSITIES, *EMPTY, *JOINED, "nodes.expand_map_cells"),
-            *(*PLACES, "shading.keep_cage", *AIM, *SHADES, "views.shades"),
+            *(*PLACES, "shading.keep_cage", *AIM, *SHADES, "views.shaded"),
         ],
     ),
     ("edits apart", "tiles"): ([*DENSITIES, *2 * [TILES]], [*DENSITIES, *2 * EMPTY, *2 * JOINED, *2 * [TILES]]),
     ("edits apart", "shaded"): (
-        [*AIM, *DENSITIES, *SHADES, *2 * ["views.shades+part"]],
+        [*AIM, *DENSITIES, *SHADES, *2 * ["views.shaded+part"]],
         [
             *(*DENSITIES, *2 * EMPTY, *2 * JOINED, *2 * ["nodes.expand_map_cells"]),
-            *(*2 * PLACES, *2 * ["shading.keep_cage"], *AIM, *SHADES, *2 * ["views.shades+part"]),
+            *(*2 * PLACES, *2 * ["shading.keep_cage"], *AIM, *SHADES, *2 * ["views.shaded+part"]),
         ],
     ),
     ("edits that meet", "shaded"): (

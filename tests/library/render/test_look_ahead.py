@@ -24,7 +24,7 @@ from refusals import refused
 from warpcage import CageEdit, Deformer
 from warpcage.core import devices, recorded_launches
 from warpcage.lattice import PoseGraph
-from warpcage.render import CarriedShades, FineCells
+from warpcage.render import CarriedColors, FineCells
 from warpcage.render import launch as pose_modules
 from warpcage.render import scene as lattice_edits
 
@@ -177,14 +177,14 @@ def test_no_frame_waits_for_a_compiler(scene, kind, device, monkeypatch):
     loaded, needed = set(), set()
     load = pose_modules.load_modules
 
-    def load_and_note(modules, where):
+    def load_and_note(modules, where, *rest):
         loaded.update(each.module.name if isinstance(each, wp.Kernel) else each.__name__ for each in modules)
-        load(modules, where)
+        load(modules, where, *rest)
 
     monkeypatch.setattr(pose_modules, "load_modules", load_and_note)
     monkeypatch.setattr(devices, "require_loaded", lambda kernel, *_: needed.add(kernel.module.name))
     folds = itertools.cycle([True, False])
-    monkeypatch.setattr(CarriedShades, "has_inverted_cells", lambda self: next(folds))
+    monkeypatch.setattr(CarriedColors, "has_inverted_cells", lambda self: next(folds))
     deformer = Deformer(field, rests, coordinates=kind, resolution=20)
     loaded |= needed  # it launched them
     needed.clear()

@@ -7,7 +7,7 @@ from fields import BOX, marches, shiny_field, slotted, use_march, view
 
 from warpcage import CageEdit, Deformer
 from warpcage.core import launch, recorded_launches
-from warpcage.kernels.edits.nodes import CELL_WORDS, cell_place_slope, expand_map_cells, node_distance, vec6
+from warpcage.kernels.edits.nodes import CELL_VEC4S, cell_place_slope, expand_map_cells, node_distance, vec6
 from warpcage.kernels.edits.structs import LOOK_SKIP
 from warpcage.render import tables
 
@@ -52,7 +52,7 @@ def test_places_and_slopes_are_those_of_the_nodes(device):
     numbers = np.ravel_multi_index(tuple(cells.T), COUNTS).astype(np.int32)
     send = lambda array, dtype: wp.array(array, dtype=dtype, device=device)  # noqa: E731
     flat = send(nodes.reshape(-1, 4), wp.vec4)
-    polynomials = wp.zeros(int(CELL_WORDS) * look.size, dtype=wp.vec4, device=device)
+    polynomials = wp.zeros(int(CELL_VEC4S) * look.size, dtype=wp.vec4, device=device)
     inputs = [flat, send(look.reshape(-1), wp.uint8), wp.vec3i(*COUNTS)]
     launch(expand_map_cells, look.size, inputs, [polynomials], device=device)
     found = wp.zeros(count, dtype=vec6, device=device)
@@ -71,7 +71,7 @@ def test_places_and_slopes_are_those_of_the_nodes(device):
 def test_cells_that_are_skipped_have_none(device):
     nodes = wp.array(np.ones((8, 4), np.float32), dtype=wp.vec4, device=device)
     look = wp.array(np.full(8, int(LOOK_SKIP) + 1, np.uint8), dtype=wp.uint8, device=device)
-    polynomials = wp.full(int(CELL_WORDS) * 8, value=wp.vec4(7.0, 7.0, 7.0, 7.0), dtype=wp.vec4, device=device)
+    polynomials = wp.full(int(CELL_VEC4S) * 8, value=wp.vec4(7.0, 7.0, 7.0, 7.0), dtype=wp.vec4, device=device)
     launch(expand_map_cells, 8, [nodes, look, wp.vec3i(2, 2, 2)], [polynomials], device=device)
     assert (polynomials.numpy() == 7.0).all()
 
@@ -97,7 +97,7 @@ def test_pictures_without_polynomials_are_the_same(case, march, device, monkeypa
         sides = "+sides" if edit.by_nodes or case == "narrow slot" else ""
         with recorded_launches() as launched:
             deformer.render(view())
-        assert marches(launched) == [f"views.{'shades' if march == 'shaded' else 'rows'}{sides}"]
+        assert marches(launched) == [f"views.{'shaded' if march == 'shaded' else 'rows'}{sides}"]
     for name in ("rgb", "alpha", "reveal", "fold"):
         assert np.allclose(*(getattr(frame, name) for frame in frames), atol=1e-4), name
     assert np.median(np.abs(frames[0].rgb - frames[1].rgb)) < 1e-6

@@ -109,7 +109,7 @@ def test_no_order_changes_a_view(march, size, device, monkeypatch):
     use_march(march, device, monkeypatch)
     deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=16).pose(BOX.rotate(30))
     camera = view().resized(*size)
-    expected = "views.shades" if march == "shaded" else "views.rows"
+    expected = "views.shaded" if march == "shaded" else "views.rows"
     frames, begun = views_in_any_order(deformer, camera, expected, monkeypatch)
     assert frames[0].alpha.max() > 0.5
     assert_same(frames)
@@ -125,7 +125,7 @@ def test_no_order_changes_a_view_of_several_edits(march, device, monkeypatch):
     field = make_field(lambda x: sum(ball(x, (c, 0, 0)) for c in CENTERS), shiny, device=device)
     deformer = Deformer(field, boxes, coordinates="mean_value", resolution=16)
     deformer.pose([box.rotate(40, axis="x") for box in boxes])
-    expected = "views.shades+part" if march == "shaded" else "views.rows+part"
+    expected = "views.shaded+part" if march == "shaded" else "views.rows+part"
     frames, begun = views_in_any_order(deformer, view((2.4, 1.1, 1.0)).resized(45, 30), expected, monkeypatch)
     assert frames[0].alpha.max() > 0.5
     assert_same(frames)

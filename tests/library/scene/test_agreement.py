@@ -69,7 +69,7 @@ def test_pictures_without_a_camera_do_not_count():
 
 
 def test_cameras_inside_out():
-    """What all cameras look at lies behind them, and matches tell that they are wrong."""
+    """What all cameras look at lies behind them, and matches show that they are wrong."""
     poses = orbit(14, degrees=80.0)
     slopes, matches = correspondences(poses)
     turned = inside_out(poses)

@@ -345,10 +345,10 @@ def test_dynamic_masks_are_those_of_instant_ngp(tmp_path, bricks, format, kind):
     walkers = walkers_of(bricks)
     walkers[3] = False
     for name, mask in zip(bricks.names, walkers, strict=True):
-        shades = {"white": mask * 255, "grey": mask * 1, "red": mask[..., None] * np.array([9, 0, 0])}
-        shades["with opacity"] = np.stack([mask * 255, np.full_like(mask, 255, np.uint8)], axis=-1)
+        masks = {"white": mask * 255, "grey": mask * 1, "red": mask[..., None] * np.array([9, 0, 0])}
+        masks["with opacity"] = np.stack([mask * 255, np.full_like(mask, 255, np.uint8)], axis=-1)
         if mask.any():
-            write_image(tmp_path / "images" / f"dynamic_mask_{name}.png", shades[kind].astype(np.uint8))
+            write_image(tmp_path / "images" / f"dynamic_mask_{name}.png", masks[kind].astype(np.uint8))
     scene = load_scene(tmp_path, split="all")
     np.testing.assert_array_equal(scene.weights, np.where(walkers, 0.0, 1.0))
     whole = load_scene(tmp_path, split="all", masks=False)
@@ -414,9 +414,9 @@ def test_commands_take_weights(tmp_path, bricks, capsys):
     write_colmap(tmp_path, bricks, binary=True, masks=True)
     share = 100 * (bricks.rgba[[i for i in range(10) if i % 8]][..., 3] == 0).mean()
     main(["info", str(tmp_path)])
-    assert "ignored" not in capsys.readouterr().out  # they are opacity, where nobody says otherwise
-    words = ["fit", str(tmp_path), "-o", str(tmp_path / "f.npz"), "--weight-masks", "--device", "cpu", "--quiet"]
-    main([*words, "--epochs", "0.5", "--resolution", "16"])
+    assert "ignored" not in capsys.readouterr().out  # they are opacity, where nothing says otherwise
+    arguments = ["fit", str(tmp_path), "-o", str(tmp_path / "f.npz"), "--weight-masks", "--device", "cpu", "--quiet"]
+    main([*arguments, "--epochs", "0.5", "--resolution", "16"])
     scene = load_scene(tmp_path, masks="weights")
     assert scene.alphas is None and scene.weights is not None
     assert 100 * (scene.weights == 0.0).mean() == pytest.approx(share)

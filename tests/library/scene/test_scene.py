@@ -1,4 +1,4 @@
-"""Cameras, and NeRF-synthetic folders written by hand."""
+"""Cameras, and NeRF-synthetic folders of hand-written values."""
 
 import json
 

@@ -137,7 +137,7 @@ def test_cameras_that_look_at_nothing_in_common_are_a_place():
         found = find_box(cameras)
         assert found.looks == () and "a place" in found.reason and inside(found.bounds, cameras) == 30
     turning = looking(np.zeros((12, 3)), ring(12))
-    refused(lambda: find_box(turning), match="do not tell the size")
+    refused(lambda: find_box(turning), match="do not determine the size")
 
 
 def test_parallel_cameras_look_ahead():

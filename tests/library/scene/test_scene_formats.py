@@ -52,9 +52,9 @@ def seen_by_llff(folder, _scene):
 
 
 def seen_by_bundler(folder, _scene):
-    words = (folder / "bundle" / "bundle.out").read_text().split("\n", 2)[2].split()
+    tokens = (folder / "bundle" / "bundle.out").read_text().split("\n", 2)[2].split()
     for index in range(10):
-        values = np.array(words[15 * index : 15 * index + 15], float)
+        values = np.array(tokens[15 * index : 15 * index + 15], float)
         seen = SQUARE @ values[3:12].reshape(3, 3).T + values[12:]
         right, up = (-seen[:, :2] / seen[:, 2:] * values[0]).T  # from the middle of the picture
         yield 12 + right, 10 - up

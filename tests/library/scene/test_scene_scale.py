@@ -145,8 +145,8 @@ def test_a_field_keeps_what_is_up(pictures, worlds, tmp_path, monkeypatch):
 
     seen = []
     monkeypatch.setattr(VoxelField, "render", lambda self, camera, **_: seen.append(camera) or exit_early())
-    for words, up in (([], worlds().up), (["--up", "0", "1", "0"], np.array([0.0, 1.0, 0.0]))):
-        assert cli.main(["render", str(tmp_path / "field.npz"), "-o", str(tmp_path / "new.png"), *words]) == 2
+    for arguments, up in (([], worlds().up), (["--up", "0", "1", "0"], np.array([0.0, 1.0, 0.0]))):
+        assert cli.main(["render", str(tmp_path / "field.npz"), "-o", str(tmp_path / "new.png"), *arguments]) == 2
         camera = seen.pop()
         assert abs(camera.rotation[:, 0] @ up) < 1e-6 and -camera.rotation[:, 1] @ up > 0.5
 
@@ -155,7 +155,7 @@ def exit_early():
     raise ValueError("the camera is all that is asked for")
 
 
-# What leaves the program far from the origin: coordinates of UTM, in metres, where float32 tells half a metre apart
+# What leaves the program far from the origin: coordinates of UTM, in metres, where float32 resolves half a metre
 
 UTM = WORLDS["UTM"][1]
 
@@ -166,8 +166,8 @@ def test_meshes_are_written_where_they_are(tmp_path, worlds, ending, colors):
     plain, far = worlds(), worlds("UTM")
     for name, field in (("plain", plain), ("far", far)):
         field.save(tmp_path / f"{name}.npz")
-        words = ["mesh", f"{tmp_path}/{name}.npz", "-o", f"{tmp_path}/{name}{ending}", colors]
-        assert main(words) == 0
+        arguments = ["mesh", f"{tmp_path}/{name}.npz", "-o", f"{tmp_path}/{name}{ending}", colors]
+        assert main(arguments) == 0
     one, two = (Cage.load(tmp_path / f"{name}{ending}") for name in ("plain", "far"))
     size = one.size
     np.testing.assert_allclose(two.bounds - UTM, one.bounds, atol=2e-2 * size)  # two fits are not the same to the bit

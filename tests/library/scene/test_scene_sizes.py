@@ -249,8 +249,8 @@ def test_the_last_line_of_a_fit_is_over_real_pixels(two_threads, representation)
         options = {"steps": 60, "most_splats": 200, "pixels_per_splat": 1.0, "start": "points"}
     scene, lines = two_sizes(whole, 21, 18), []
     scene.weights[:, 3:5, 3:9] = 0.0
-    told = {"progress": lambda done, total, words: lines.append(words)}
-    field = warpcage.fit(scene, representation=representation, device="cpu", **told, **options)
+    reported = {"progress": lambda done, total, message: lines.append(message)}
+    field = warpcage.fit(scene, representation=representation, device="cpu", **reported, **options)
     last = float(re.fullmatch(r"fit: (\S+) dB, .*", lines[-1])[1])
     renders = [field.render(camera, background=scene.background).rgb for camera in scene.cameras]
     by_hand = np.mean([-10 * np.log10(squares(rgb, scene, index)) for index, rgb in enumerate(renders)])
@@ -267,7 +267,7 @@ def test_figures_of_steps_are_over_real_pixels(two_threads):
     fit = SplatFit(scene, device="cpu", steps=40, most_splats=200, pixels_per_splat=1.0, start="points")
     for _ in range(36):
         fit.step()
-    for _ in range(4):  # of which picture nobody says
+    for _ in range(4):  # nothing says of which picture
         field = fit.field
         rows = [row["psnr"] for row in evaluate(field, scene)]
         fit.step()

@@ -65,8 +65,8 @@ def test_what_is_known_is_listed_from_one_table(plugged, toy_scene, tmp_path, ca
     names = [each.name for each in scene_formats()]
     assert names[-1] == "toy" and len(set(names)) == len(names)
     (tmp_path / "empty").mkdir()
-    told = refused(lambda: load_scene(tmp_path / "empty", format="other"))
-    assert all(name in told for name in names)
+    message = refused(lambda: load_scene(tmp_path / "empty", format="other"))
+    assert all(name in message for name in names)
     succeed(toy_scene[0], "info")
     said = capsys.readouterr().out
     assert all(f"{each.name}: {each.mark}" in said for each in scene_formats())
@@ -111,8 +111,8 @@ def require_said(folder, files, said):
     for file in files.split():
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         (folder / file).touch()
-    told = refused(lambda: load_scene(folder), match=said)
-    assert len(told) < 500
+    message = refused(lambda: load_scene(folder), match=said)
+    assert len(message) < 500
 
 
 @pytest.mark.parametrize("wrong", [None, ImportError("no module"), SceneFormat("colmap", "x", bool, read_toy)])

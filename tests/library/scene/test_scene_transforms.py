@@ -114,7 +114,7 @@ def test_a_matrix_of_a_frame_goes_before_what_the_file_says(tmp_path, bricks):
         ({"K": [[40.0, 1.0, 12.0], [0, 40.0, 10.0], [0, 0, 1.0]]}, MESSAGES["scene.matrix_skew"]),
         ({"K": [[40.0, 0, 12.0], [0, 40.0, 10.0], [0, 0.1, 1.0]]}, "K must be a camera matrix, fx 0 cx"),
         ({"K": [[40.0, 0], [0, 40.0], [0, 0]]}, "K must be a camera matrix, fx 0 cx"),
-        ({"K": [[40.0, 0, "a"], [0, 40.0, 10.0], [0, 0, 1.0]]}, r"K\[0\]\[2\] must be a finite number"),
+        ({"K": [[40.0, 0, "a"], [0, 40.0, 10.0], [0, 0, 1.0]]}, r"K\[0\]\[2\] must be one finite number"),
         ({"K": [[40.0, 0, 12.0], [0, 40.0, 10.0], [0, 0, 1.0]]}, MESSAGES["scene.matrix_beside"]),
         ({"K": [[0.9, 0, 0.5], [0, 0.9, 0.5], [0, 0, 1.0]]}, "K has fl_x 0.9, beside it"),
         ({"fl_x": 0.035, "fl_y": 0.035}, "a focal length of 0.035 pixels"),  # millimetres, or shares of the picture

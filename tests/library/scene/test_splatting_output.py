@@ -52,13 +52,13 @@ def test_the_folder_is_a_field_with_views(output, shown, capsys):
     np.testing.assert_array_equal(loaded.background, 1.0)
     succeed(output.parent, "info", "@out")
     said = capsys.readouterr().out
-    for words in (
+    for text in (
         "7000, 30000: the newest",
         f"10 of 48x36: --camera {output}:0 to :9",
         "white",
         str(output.parent / "truck"),
     ):
-        assert words in said
+        assert text in said
     for index, name in ((2, "2"), (2, "view_01.png"), (9, "9")):
         succeed(output.parent, "render", "@out", "--camera", f"@out:{name}", "-o", "@a.png", "--device", "cpu")
         expected = pictures.rgba[ORDER[index], ..., :3] / 255
@@ -79,8 +79,8 @@ def test_items_of_a_job_file_take_the_folder(output):
 
 
 def test_evaluate_takes_the_pictures_that_it_names(output, capsys):
-    for words in ([], ["@out"], ["@truck"]):
-        succeed(output.parent, "evaluate", "@out", *words, "--device", "cpu", "--json", "@report.json", "--quiet")
+    for arguments in ([], ["@out"], ["@truck"]):
+        succeed(output.parent, "evaluate", "@out", *arguments, "--device", "cpu", "--json", "@report.json", "--quiet")
         report = json.loads((output.parent / "report.json").read_text())
         assert report["mean_psnr"] > 55.0 and [row["view"] for row in report["views"]] == ["view_00", "view_08"]
     (output.parent / "truck").rename(output.parent / "elsewhere")
@@ -127,7 +127,7 @@ def test_splats_in_the_folder_of_their_scene(tmp_path, shown, capsys):
     assert json.loads((tmp_path / "report.json").read_text())["mean_psnr"] > 55.0
 
 
-def test_names_that_come_twice_are_told_apart_by_place(tmp_path, shown):
+def test_names_that_come_twice_are_message_apart_by_place(tmp_path, shown):
     field, pictures = shown
     halves = pictures.pick(range(5)), pictures.pick(range(5, 10))
     write_blender(tmp_path / "lego", halves[0], "train")
@@ -167,8 +167,8 @@ def test_options_are_read_and_never_run(output, text, said):
     (output / "cfg_args").unlink()
     if text is not None:
         (output / "cfg_args").write_text(text)
-    told = refused(lambda: load_scene(output), match=said, error=(ValueError, FileNotFoundError))
-    assert len(told) < 600
+    message = refused(lambda: load_scene(output), match=said, error=(ValueError, FileNotFoundError))
+    assert len(message) < 600
 
 
 def test_its_cameras_are_a_camera_file(tmp_path, shown):

@@ -119,8 +119,8 @@ def test_a_field_is_kept_with_its_turn_and_turned_back(fields, tmp_path):
         np.testing.assert_array_equal(VoxelField.load(tmp_path / "copy.npz").straightening, field.straightening)
     np.testing.assert_array_equal(field.view_options()["straightening"], field.straightening)
     meshes = []
-    for words in ([], ["--as-captured"]):
-        succeed(fields, "mesh", "@straight.npz", "-o", tmp_path / "mesh.ply", *words)
+    for arguments in ([], ["--as-captured"]):
+        succeed(fields, "mesh", "@straight.npz", "-o", tmp_path / "mesh.ply", *arguments)
         meshes.append(trimesh.load(tmp_path / "mesh.ply", force="mesh", process=False).vertices)
     back = meshes[0] @ field.straightening[:3, :3]  # by the inverse
     np.testing.assert_allclose(meshes[1], back, atol=1e-5)
@@ -151,21 +151,21 @@ def test_presets_take_the_scenes_up(fields, tmp_path, capsys):
             succeed(fields, *render, "-o", tmp_path / f"{name}.png", "--posed", pose)
         one, two = (read_image(tmp_path / f"{name}.png") for name in ("preset", "file"))
         assert np.abs(one - two).max() < 0.02, preset
-    for words, file in (
+    for arguments, file in (
         (["--twist", 50, "--axis", "up", "--object", tmp_path / "leaning.npz"], "twisted.obj"),
         (["--bend", 40, "--axis", "up", "--up", 0.6, 0, 0.8, "--towards", "y"], "bent.obj"),
         (["--bend", 40, "--axis", "3,0,4", "--towards=-1e-9,1,0"], "bent.obj"),
         (["--stretch", 1.3, "--axis", "long"], "long.obj"),
     ):
-        succeed(fields, "pose", tmp_path / "cage.obj", "-o", tmp_path / "posed.obj", *words)
+        succeed(fields, "pose", tmp_path / "cage.obj", "-o", tmp_path / "posed.obj", *arguments)
         found, wanted = (Cage.load(tmp_path / name).vertices for name in ("posed.obj", file))
         np.testing.assert_allclose(found, wanted, atol=1e-8)
     capsys.readouterr()
-    for words, said in (
+    for arguments, said in (
         (["--twist", 50, "--axis", "up"], "needs --up or --object"),
         (["--twist", 50, "--axis", "1,2"], "x, y, z, -x, up, long, middle, short, or a direction such as 0,0.2,1"),
         (["--bend", 50, "--axis", "z", "--towards", "0,0,1"], "two different directions"),
     ):
-        assert run(fields, "pose", tmp_path / "cage.obj", "-o", tmp_path / "no.obj", *words) == 2
+        assert run(fields, "pose", tmp_path / "cage.obj", "-o", tmp_path / "no.obj", *arguments) == 2
         error = capsys.readouterr().err
         assert said in error and error.count("\n") == 1 and not pathlib.Path(tmp_path / "no.obj").exists()

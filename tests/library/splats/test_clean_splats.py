@@ -118,8 +118,8 @@ def test_options_that_make_no_sense(options, message):
     refused(lambda: CleanOptions(**options), match=message)
 
 
-def run(*words):
-    return main([str(word) for word in words])
+def run(*arguments):
+    return main([str(each) for each in arguments])
 
 
 def test_the_command_cleans_and_says_how_much(folder, scene, capsys):
@@ -181,9 +181,9 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_words_are_one_line_and_write_nothing(folder, case, capsys):
-    words, message = BAD[case]
+    arguments, message = BAD[case]
     before = sorted(folder.iterdir())
-    assert run(*words) != 0
+    assert run(*arguments) != 0
     line = capsys.readouterr().err.strip()
     assert message in line and "\n" not in line
     assert sorted(folder.iterdir()) == before

@@ -139,7 +139,7 @@ def test_a_falloff_holds_a_wall(device):
     assert np.abs(held[low] - rest[low]).max() < 1e-2 < np.abs(loose[low] - rest[low]).max()
     high = rest[:, 2] > 0.2  # the walls at the sides are held up to -1/3
     np.testing.assert_allclose(held[high], loose[high], atol=1e-5)
-    # the Jacobian is that of the faded map: neighbours tell
+    # the Jacobian is that of the faded map: neighbours show it
     step = 1e-3 * np.eye(3)[2]
     values = (field.contents.log_scales, field.contents.quaternions, field.contents.logits, field.contents.harmonics)
     edits, kind = still.edits, "mean_value"

@@ -1,4 +1,4 @@
-"""Files of Gaussian splats: foreign layouts and values, files by hand, damaged ones, what is none."""
+"""Files of Gaussian splats: foreign layouts and values, handmade files, damaged ones, what is none."""
 
 import gzip
 import struct
@@ -22,14 +22,14 @@ def foreign_ply(order, count=5):
     names = ["rot_3", "rot_0", "rot_1", "rot_2", "label", "z", "x", "y", "f_dc_2", "f_dc_0", "f_dc_1", "opacity"]
     names += [f"f_rest_{k}" for k in reversed(range(9))] + ["scale_0", "scale_2", "scale_1", "beta"]
     kinds = {"label": "i2", "beta": "f4", "scale_0": "f8", "x": "f8"}
-    words = {"i2": "short", "f4": "float", "f8": "double"}
+    types = {"i2": "short", "f4": "float", "f8": "double"}
     table = np.zeros(count, [(name, order + kinds.get(name, "f4")) for name in names])
     for name in names:
         table[name] = rng.integers(0, 9, count) if name == "label" else rng.normal(size=count)
     table["beta"][1] = np.nan  # foreign values may be anything
     lines = ["ply", f"format binary_{'little' if order == '<' else 'big'}_endian 1.0", "comment of mine"]
     lines += ["element camera 2", "property uchar id", f"element vertex {count}"]
-    lines += [f"property {words[kinds.get(name, 'f4')]} {name}" for name in names]
+    lines += [f"property {types[kinds.get(name, 'f4')]} {name}" for name in names]
     lines += ["element face 1", "property list uchar int vertex_indices", "end_header", ""]
     after = b"\x03" + np.arange(3, dtype=order + "i4").tobytes()
     return "\n".join(lines).encode() + b"\x07\x09" + table.tobytes() + after, table
@@ -80,13 +80,18 @@ def test_words_of_a_compressed_file_by_hand(tmp_path):
     chunk = np.array([-1, -2, -3, 1, 2, 3, -6, -6, -6, -2, -2, -2], "<f4")
     half = round((0.0 * np.sqrt(0.5) + 0.5) * 1023)
     quarter = 1023  # z = sqrt(1/2), the largest that the others can be
-    words = [(2047 << 21) | (0 << 11) | 2047, (0 << 30) | (half << 20) | (half << 10) | quarter, 0, 0x804020 << 8 | 51]
+    uint32s = [
+        (2047 << 21) | (0 << 11) | 2047,
+        (0 << 30) | (half << 20) | (half << 10) | quarter,
+        0,
+        0x804020 << 8 | 51,
+    ]
     lines = ["ply", "format binary_little_endian 1.0", "element chunk 1", *(f"property float {name}" for name in names)]
     lines += ["element vertex 1"]
     lines += [f"property uint packed_{name}" for name in ("position", "rotation", "scale", "color")]
     path = tmp_path / "one.ply"
     head = "\n".join([*lines, "end_header", ""]).encode()
-    path.write_bytes(head + chunk.tobytes() + np.array(words, "<u4").tobytes())
+    path.write_bytes(head + chunk.tobytes() + np.array(uint32s, "<u4").tobytes())
     field = loaded(path)
     np.testing.assert_allclose(field.contents.centers, [[1, -2, 3]])
     np.testing.assert_allclose(field.contents.log_scales, [[-6, -6, -6]])

@@ -46,7 +46,7 @@ def psnr(field, cameras, images, **options):
 
 
 def test_a_fitted_field_is_drawn_as_it_was_fitted(device):
-    """Where nobody says whether splats are antialiased, the field does."""
+    """By default the field says whether splats are antialiased."""
     field, cameras = some_field(device, 40, degree=0), views(2, 16)
     for flag in (False, True):
         begin = SplatField.from_contents(field.contents, background="white", antialias=flag, device=device)
@@ -148,7 +148,7 @@ def test_bad_input(device):
     field = some_field(device, 10)
     view = views(1, 16)
     image = np.zeros((1, 16, 16, 3))
-    for arguments, options, words in (
+    for arguments, options, message in (
         (("field", view, image), {}, "SplatField"),
         ((field, [], []), {}, "pictures, a camera each"),
         ((field, view, np.zeros((2, 16, 16, 3))), {}, "2 and 1 cameras"),
@@ -171,7 +171,7 @@ def test_bad_input(device):
         ((field, view, image), {"rates": SplatRates(log_scales=1e4)}, "range of float32, with smaller rates"),
         ((field.chosen([]), view, image), {}, "without splats"),
     ):
-        with pytest.raises(ValueError, match=words):
+        with pytest.raises(ValueError, match=message):
             fit_splats(*arguments, **{"steps": 1, "progress": False, **options})
 
 

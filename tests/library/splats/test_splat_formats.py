@@ -1,4 +1,4 @@
-"""Formats of files of splats: round trips; SPZ 1 to 4, ksplat, SOG and glTF by hand; formats of other packages."""
+"""Formats of files of splats: round trips; SPZ 1 to 4, ksplat, SOG and glTF as bytes; formats of other packages."""
 
 import functools
 import gzip
@@ -116,7 +116,7 @@ def test_versions_that_are_not_written(tmp_path, name, version, said):
     assert list(tmp_path.iterdir()) == []
 
 
-# SPZ by hand
+# SPZ as bytes
 
 
 def spz_parts(version):
@@ -184,7 +184,7 @@ def test_spz_holds_places_of_three_bytes_and_nothing_after_them(tmp_path):
     contents.centers[:] = [[40.25, -300.5, 7.75], [-1000.125, 9.5, 0.0]]
     field_of(contents).save(tmp_path / "a.spz")
     np.testing.assert_allclose(loaded(tmp_path / "a.spz").contents.centers, contents.centers, atol=1 / 4096)
-    (tmp_path / "a.spz").write_bytes(spz_file(3, [*spz_parts(3), b"more"], packed=True))  # no flag tells of extensions
+    (tmp_path / "a.spz").write_bytes(spz_file(3, [*spz_parts(3), b"more"], packed=True))  # no flag announces extensions
     refused(lambda: loaded(tmp_path / "a.spz"), match="of degree 1 take 45 bytes, got 49")
 
 
@@ -206,7 +206,7 @@ def test_spz_of_degree_4_keeps_degree_3(tmp_path):
     np.testing.assert_allclose(np.abs(field.contents.harmonics[0, 15]), (128 - np.array([42, 43, 44])) / 128, atol=1e-6)
 
 
-# ksplat by hand
+# ksplat as bytes
 
 
 def ksplat_file(level, degree, rows, buckets=b"", full_and_partial=(0, 0)):
@@ -255,7 +255,7 @@ def test_ksplat_by_hand(level, tmp_path):
     np.testing.assert_allclose(field.contents.harmonics[1, 1:], expected, atol={0: 1e-7, 1: 1e-3, 2: 3e-3}[level])
 
 
-# SOG by hand
+# SOG as arrays
 
 
 def webp(pixels):
@@ -267,9 +267,9 @@ def webp(pixels):
 def sog_set(version):
     """The files of a set of two splats of degree 1, and what they hold."""
     low, high = np.array([-1.0, -2.0, 0.0]), np.array([1.0, 2.0, 3.0])
-    words = np.array([[0, 65535, 32768], [65535, 0, 255]])
-    logs = low + (high - low) * words / 65535
-    pictures = {"means_l": words & 255, "means_u": words >> 8, "scales": [[0, 1, 2], [2, 2, 0]]}
+    uint16s = np.array([[0, 65535, 32768], [65535, 0, 255]])
+    logs = low + (high - low) * uint16s / 65535
+    pictures = {"means_l": uint16s & 255, "means_u": uint16s >> 8, "scales": [[0, 1, 2], [2, 2, 0]]}
     # the largest is w, and z: the others by the square root of two in -1 to 1
     pictures["quats"] = [[255, 128, 128, 252], [128, 128, 255, 255]]
     pictures["sh0"] = [[0, 1, 2, 51], [2, 1, 0, 204]]
@@ -374,13 +374,13 @@ def test_equal_splats_are_equal_files(tmp_path):
     assert (tmp_path / "a.sog").read_bytes() == (tmp_path / "b.sog").read_bytes()
 
 
-# glTF by hand
+# glTF as bytes
 
 
-def gltf_document(spz=None, node=None, counts=2, told=None):
+def gltf_document(spz=None, node=None, counts=2, changes=None):
     """A document of two splats with plain values, or with what SPZ packs, and its buffer."""
     attributes, accessors, views, body = {}, [], [], b""
-    extension = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"} | (told or {})
+    extension = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"} | (changes or {})
     values = {
         "POSITION": (np.array([[1, 2, 3], [-1, 0, 0.5]], "<f4"), "VEC3", False),
         "KHR_gaussian_splatting:ROTATION": (np.array([[0, 0, 0, 127], [127, 0, 0, 0]], "i1"), "VEC4", True),
@@ -473,7 +473,7 @@ def test_gltf_with_spz_is_the_same_splats(version, tmp_path):
 
 
 def test_gltf_of_unknown_kernels_says_so(tmp_path):
-    path = write_gltf(tmp_path, *gltf_document(told={"colorSpace": "lin_rec709_display"}), ".glb")
+    path = write_gltf(tmp_path, *gltf_document(changes={"colorSpace": "lin_rec709_display"}), ".glb")
     with pytest.warns(UserWarning, match="colorSpace 'lin_rec709_display'"):
         loaded(path)
 

@@ -48,7 +48,7 @@ def slopes_on(device, values, camera, weights, *, antialias=False, blur=0.3):
 
 def assert_slopes(device, values, camera, *, antialias=False, blur=0.3, least=3e-3):
     """Slopes are the differences of the equations: of every column of each kind, for a few splats. Colours of a pixel
-    do not depend on each other, so that one difference tells the slopes of a harmonic's three."""
+    do not depend on each other, so that one difference gives the slopes of a harmonic's three."""
     rng = np.random.default_rng(1)
     weights = rng.normal(size=(camera.height, camera.width, 3)).astype(np.float32).astype(np.float64)
     options = {"antialias": antialias, "blur": blur}

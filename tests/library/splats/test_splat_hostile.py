@@ -110,7 +110,7 @@ CLAIMS = {
             for version in (1, 2, 3)
             for kind in (instead, zipped)
         ),
-        (lambda _: gzip.compress(spz(3, 4, bytes(1 << 25)), 1), "are packed in it, which its header does not tell"),
+        (lambda _: gzip.compress(spz(3, 4, bytes(1 << 25)), 1), "bytes, more than its header says"),
         (lambda _: gzip.compress(spz(3, MANY, bytes(20 * MANY))), CLAIM),
         (zipped(spz(0, 0, b"")), "version 0"),
         (zipped(spz(4, 0, b"")), "1 to 3 in gzip"),
@@ -155,8 +155,8 @@ CLAIMS = {
         (meta(lambda m: m["quats"].update(files="quats.webp")), "must be a list of 1 or more names"),
         (meta(lambda m: m["means"].update(files=["means_l.webp"])), "must be a list of 2 or more names"),
         (meta(lambda m: m["means"].update(mins=[10**400] * 3)), "of another kind"),
-        (meta(lambda m: m.update(count=4.0)), "whole number, got 4.0"),
-        (meta(lambda m: m.update(count="4")), "whole number, got '4'"),
+        (meta(lambda m: m.update(count=4.0)), "whole number of at least 0, got 4.0"),
+        (meta(lambda m: m.update(count="4")), "whole number of at least 0, got '4'"),
         (meta(lambda m: m["shN"].update(count=-5)), "a palette of -5 entries"),
         (meta(lambda m: m["shN"].update(bands="1")), "'1' bands"),
         (meta(lambda m: m.update(count=36_000_000)), "36000000 splats claim"),
@@ -244,15 +244,16 @@ SHARES = (0.0, 0.01, 0.3, 0.6, 0.9)
 LAST = {name: [(cut(-1), "")] for name in CLAIMS if name not in ("splats usda", "splats usdz")}
 TABLE = {
     name: [
-        ("", damage, words) for damage, words in [*group, *((cut(share), "") for share in SHARES), *LAST.get(name, [])]
+        ("", damage, message)
+        for damage, message in [*group, *((cut(share), "") for share in SHARES), *LAST.get(name, [])]
     ]
     for name, group in CLAIMS.items()
 }
 
 
-@pytest.mark.parametrize("name, file, damage, words", rows(TABLE))
-def test_files_that_claim_too_much_or_are_cut_off(tmp_path, name, file, damage, words):
-    require_refused(name, tmp_path, {file: damage(whole(name)[file])}, words)
+@pytest.mark.parametrize("name, file, damage, message", rows(TABLE))
+def test_files_that_claim_too_much_or_are_cut_off(tmp_path, name, file, damage, message):
+    require_refused(name, tmp_path, {file: damage(whole(name)[file])}, message)
 
 
 def test_memory_for_what_is_claimed_is_counted(tmp_path, monkeypatch):

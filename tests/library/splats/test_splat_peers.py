@@ -25,9 +25,9 @@ BOUNDS = {
 }
 
 
-def transform(*words):
+def transform(*arguments):
     """Let the program write a file of another."""
-    call = [PROGRAM, "-q", "-w", "-g", "cpu", *map(str, words)]
+    call = [PROGRAM, "-q", "-w", "-g", "cpu", *map(str, arguments)]
     run = subprocess.run(call, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stderr
 
@@ -61,14 +61,14 @@ def test_the_program_reads_what_we_write(ending, version, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name, words",
+    "name, arguments",
     [(f"a{ending}", ()) for ending in (".compressed.ply", ".sog", ".glb")]
     + [("meta.json", ()), ("a.spz", ("--spz-version", "3")), ("a.spz", ("--spz-version", "4"))],
 )
-def test_we_read_what_the_program_writes(name, words, tmp_path):
+def test_we_read_what_the_program_writes(name, arguments, tmp_path):
     field = field_of(some_splats())
     field.save(tmp_path / "ours.ply")
-    transform(*words, tmp_path / "ours.ply", tmp_path / name)
+    transform(*arguments, tmp_path / "ours.ply", tmp_path / name)
     ending = ".sog" if name == "meta.json" else name[1:]
     # it packs further harmonics of SPZ in 5 and 4 bits, and those of SOG in clusters, few of which have several splats
     bounds = (*BOUNDS[ending][:5], 0.07) if ending == ".spz" else BOUNDS[ending]

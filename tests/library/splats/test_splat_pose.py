@@ -135,8 +135,8 @@ def test_rotations_of_any_jacobian(device):
     # how near a rotation is: tr(R^T J), which the nearest has largest
     reached, best = (np.einsum("nij,nij->n", each, matrices.astype(np.float64)) for each in (found, nearest))
     assert ((best - reached) <= 2e-5 * s.sum(axis=1) + 1e-30).all()
-    told = (s[:, 1] + sign * s[:, 2] > 0.05 * s[:, 0]) & (np.arange(count) < 220)
-    np.testing.assert_allclose(found[told], nearest[told], atol=2e-3)
+    clear = (s[:, 1] + sign * s[:, 2] > 0.05 * s[:, 0]) & (np.arange(count) < 220)
+    np.testing.assert_allclose(found[clear], nearest[clear], atol=2e-3)
 
 
 def alpha_of_ray(center, covariance, opacity, origin, direction):

@@ -158,7 +158,7 @@ def test_prims_are_at_their_places(tmp_path):
 
 
 def test_what_the_schema_leaves_out_is_usual(tmp_path):
-    """Scales of one, opaque, grey and not turned; values beyond the last splat are left out, which is told."""
+    """Scales of one, opaque, grey and not turned; values beyond the last splat are left out with a warning."""
     stage = new_stage(tmp_path / "a.usda")
     splats_at(stage, "/a", {PLACES: np.eye(3)})
     stage.Save()

@@ -80,7 +80,7 @@ def test_activated_overrules_what_ranges_tell(tmp_path):
     np.testing.assert_array_equal(raw.logits, activated(columns)["opacity"].astype(np.float32))
     plain = write_ply(tmp_path / "plain.ply", columns)
     np.testing.assert_array_equal(loaded(plain).contents.logits, columns["opacity"].astype(np.float32))
-    refused(lambda: loaded(path, activated="yes"), match="activated must be True or False")
+    refused(lambda: loaded(path, activated="yes"), match="activated must be true or false")
     loaded(plain).save(tmp_path / "a.splat")
     refused(lambda: loaded(tmp_path / "a.splat", activated=True), match="a.splat: .* not read with activated")
 
@@ -92,11 +92,11 @@ def test_activated_values_are_found_with_zeros_and_rounded_ones(tmp_path):
     path = write_ply(tmp_path / "activated.ply", columns)
     with pytest.warns(UserWarning) as said:
         field = splat_scenes.loaded(path)
-    words = zip(("activated=False", "1 of 40"), said, strict=True)
-    assert all(word in str(each.message) for word, each in words)
+    parts = zip(("activated=False", "1 of 40"), said, strict=True)
+    assert all(part in str(each.message) for part, each in parts)
     np.testing.assert_array_equal(field.opacities[:3], [0.0, 1.0, 1.0])
     columns = activated(some_columns()) | {"opacity": np.where(np.arange(40) == 3, 1.0, 0.5)}
-    field = loaded(write_ply(tmp_path / "told.ply", columns), activated=True)
+    field = loaded(write_ply(tmp_path / "activated.ply", columns), activated=True)
     assert field.opacities[3] == 1.0 and np.isposinf(field.contents.logits[3])
 
 
@@ -148,7 +148,7 @@ def test_splats_made_by_hand_are_logarithms(kind, tmp_path):
         columns |= {f"scale_{k}": np.full(5, 2.0) for k in range(3)} | {"opacity": np.linspace(-1, 3, 5)}
     if kind == "one value":
         columns["x"] = np.zeros(5)
-    field = loaded(write_ply(tmp_path / "hand.ply", columns))
+    field = loaded(write_ply(tmp_path / "handmade.ply", columns))
     np.testing.assert_array_equal(field.contents.log_scales[:, 0], columns["scale_0"].astype(np.float32))
     np.testing.assert_array_equal(field.contents.logits, columns["opacity"].astype(np.float32))
 
@@ -265,9 +265,9 @@ BROKEN = {
 
 @pytest.mark.parametrize("name", list(BROKEN))
 def test_fields_that_no_program_meant_to_write_are_refused(name, tmp_path):
-    change, words = BROKEN[name]
+    change, message = BROKEN[name]
     path = write_ply(tmp_path / "broken.ply", change(some_columns()))
-    refused(lambda: loaded(path), "broken.ply", match=words)
+    refused(lambda: loaded(path), "broken.ply", match=message)
 
 
 def test_some_splats_without_rotation_are_not_turned(tmp_path):

@@ -9,7 +9,7 @@ from ground_truth import synthetic_scene
 
 import warpcage
 from warpcage.core import launch
-from warpcage.field import PACKED_WORDS, ColumnTable, harmonics_on_host, row_table, shaded_grid, tables
+from warpcage.field import PACKED_UINT32S, ColumnTable, harmonics_on_host, row_table, shaded_grid, tables
 from warpcage.kernels.field.densities import lay_densities
 
 #: A camera among the voxels, one beside the field, one that looks at all of it.
@@ -21,7 +21,7 @@ def path(request, monkeypatch):
     """All ways to a frame of the field itself, whatever its size; the third on a CPU alone."""
     shaded = request.param == "shaded"
     monkeypatch.setattr(tables, "NEAR_VOXELS", -1.0 if shaded else 1e9)
-    monkeypatch.setattr(tables, "SHADES_ON_CPU", shaded)
+    monkeypatch.setattr(tables, "SHADED_ON_CPU", shaded)
     monkeypatch.setattr(tables, "TILES_ON_CPU", request.param == "tiles")
     return request.param
 
@@ -249,12 +249,12 @@ def test_what_frames_hold_beside_the_field(device):
     (nx, ny, nz), rows, is_cpu = field.resolution, field.voxel_count, field.device.is_cpu
     assert table.columns.blocks.capacity == nx * ny * -(-(nz - 1) // 31) * 8
     assert table.nodes.capacity == 4 * rows
-    assert PACKED_WORDS == 8
+    assert PACKED_UINT32S == 8
     rows_now = row_table(field.grid, table)
     for array, size in ((rows_now.packed, 32 * rows), (rows_now.laid, 2 * nx * ny * nz)):
         assert (array is None or array.size == 0) if is_cpu else array.capacity == size
     if not is_cpu:  # both stay
         again = row_table(field.grid, table)
         assert (again.packed.ptr, again.laid.ptr) == (rows_now.packed.ptr, rows_now.laid.ptr)
-    shades = shaded_grid(field.grid, table, wp.vec3(9.0, 0.0, 0.0), field.step).shades
-    assert shades.capacity == (16 if is_cpu else 8) * rows
+    colors = shaded_grid(field.grid, table, wp.vec3(9.0, 0.0, 0.0), field.step).colors
+    assert colors.capacity == (16 if is_cpu else 8) * rows

@@ -108,8 +108,8 @@ def test_commands_take_them(tmp_path, capsys):
     writer.animate((1, "translation", [0.0, 1.0], [[0, 0, 4], [1, 0, 4]], "LINEAR"))
     writer.save(tmp_path / "moving.gltf")
     film = ["animate", "@ball.npz", "-o", tmp_path / "film", "--quiet", "--size", 40, 25]
-    words = ["--cameras", "@moving.gltf:eye", "--frames", 3, "--save-camera", tmp_path / "path.json"]
-    succeed(files, *film, *words)
+    arguments = ["--cameras", "@moving.gltf:eye", "--frames", 3, "--save-camera", tmp_path / "path.json"]
+    succeed(files, *film, *arguments)
     places = [key.camera.center for key in CameraFile.load(tmp_path / "path.json")]
     np.testing.assert_allclose(places, [[0, -4, 0], [0.5, -4, 0], [1, -4, 0]], atol=1e-6)
     capsys.readouterr()

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from refusals import refused
 
 from warpcage.core import EASINGS, checked_easing
-from warpcage.view import eased_share, frame_rate, frame_times, limited_velocity, value_at, write_film
+from warpcage.studio.films.video import write_film
+from warpcage.view import eased_share, frame_rate, frame_times, limited_velocity, value_at
 
 av = pytest.importorskip("av")
 
@@ -135,8 +136,8 @@ def test_a_curve_of_one_line_is_linear_and_known_by_its_points():
     [
         ({"bezier": [0.1, 0.2, 0.3]}, "must have four numbers"),
         ({"bezier": "ease"}, "must have four numbers"),
-        ({"bezier": [1.2, 0, 0.5, 1]}, "x1 of it must be a share, 0 to 1"),
-        ({"bezier": [0.2, 0, -0.5, 1]}, "x2 of it must be a share, 0 to 1"),
+        ({"bezier": [1.2, 0, 0.5, 1]}, "x1 of it must be a number from 0 to 1"),
+        ({"bezier": [0.2, 0, -0.5, 1]}, "x2 of it must be a number from 0 to 1"),
         ({"bezier": [0.2, float("nan"), 0.5, 1]}, "y1 of it must be one finite number"),
         ({"bezier": [0.2, 0, 0.5, "far"]}, "y2 of it must be one finite number"),
         ({"steps": 3}, "it must be one of smooth"),
@@ -145,7 +146,7 @@ def test_a_curve_of_one_line_is_linear_and_known_by_its_points():
         ("wobble", "it must be one of smooth"),
     ],
 )
-def test_easings_that_cannot_be_are_told_in_one_line(easing, said):
+def test_wrong_easings_are_refused_in_one_line(easing, said):
     refused(lambda: checked_easing(easing, "it"), match=re.escape(said))
 
 
@@ -226,7 +227,7 @@ def test_a_loop_goes_through_its_seam(closed):
     assert end == pytest.approx(begin, abs=1e-4)
 
 
-def test_velocities_by_hand():
+def test_velocities_worked_out_manually():
     def velocity(before, after):
         return limited_velocity(np.array([before]), np.array([after]), 1.0, 1.0)[0].tolist()
 

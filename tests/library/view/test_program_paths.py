@@ -16,7 +16,7 @@ from warpcage.view import read_image
 POINTS = np.random.default_rng(5).uniform(-0.4, 0.4, (20, 3))
 
 
-def nerfstudio_path(count=6, **words):
+def nerfstudio_path(count=6, **options):
     """As its viewer writes them: cameras look along -z, y up; 16 numbers in rows; the height's field of view."""
     frames = []
     for index in range(count):
@@ -26,7 +26,7 @@ def nerfstudio_path(count=6, **words):
         frames.append({"camera_to_world": pose.ravel().tolist(), "fov": 40.0 + index, "aspect": 1.6})
     keys = [{"matrix": frames[0]["camera_to_world"], "fov": 40.0, "aspect": 1.6, "override_transition_enabled": False}]
     content = {"keyframes": keys, "camera_type": "perspective", "render_width": 64, "render_height": 40}
-    return content | {"fps": 12, "seconds": count / 12, "is_cycle": True, "camera_path": frames} | words
+    return content | {"fps": 12, "seconds": count / 12, "is_cycle": True, "camera_path": frames} | options
 
 
 def seen(right, up, ahead, focal, size):
@@ -53,11 +53,11 @@ SHOWN = POINTS * [-1.0, -1.0, 1.0]
 EYES, TARGETS, FOVS = [[2.0, 1.0, 0.5], [0.3, 1.5, -2.0]], [[0.0, 0.1, 0.0], [0.1, 0.0, 0.2]], [50.0, 70.0]
 
 
-def settings(frames, **words):
+def settings(frames, **keys):
     """settings.json of its viewer; frames: times of the two keys."""
     values = {"position": np.ravel(EYES).tolist(), "target": np.ravel(TARGETS).tolist(), "fov": FOVS}
     track = {"name": "fly", "duration": 3, "frameRate": 20, "loopMode": "pingpong", "interpolation": "spline"}
-    track |= {"smoothness": 1} | words
+    track |= {"smoothness": 1} | keys
     return {"version": 2, "cameras": [], "animTracks": [track | {"keyframes": {"times": frames, "values": values}}]}
 
 
@@ -154,8 +154,8 @@ def test_nerfstudio_paths_go_along_with_splats_out_of_its_frame(tmp_path):
     rows = np.column_stack([turn, [0.5, -0.2, 0.1]]).tolist()
     (tmp_path / "dataparser_transforms.json").write_text(json.dumps({"transform": rows, "scale": 0.25}))
     (tmp_path / "camera_path.json").write_text(json.dumps(nerfstudio_path()))
-    for name, words in (("inside", ()), ("out", ("--frame", "@dataparser_transforms.json"))):
-        succeed(tmp_path, "render", "@splats.ply", "--camera", "@camera_path.json:2", "-o", f"@{name}.png", *words)
+    for name, arguments in (("inside", ()), ("out", ("--frame", "@dataparser_transforms.json"))):
+        succeed(tmp_path, "render", "@splats.ply", "--camera", "@camera_path.json:2", "-o", f"@{name}.png", *arguments)
     pictures = [read_image(tmp_path / f"{name}.png") for name in ("inside", "out")]
     assert pictures[0].std() > 0.05
     np.testing.assert_allclose(*pictures, atol=1.1 / 255)

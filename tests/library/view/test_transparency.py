@@ -6,16 +6,8 @@ from refusals import refused
 from runs import DEFORMED, SMALL, run, succeed
 
 from warpcage import Camera, Frame
-from warpcage.view import (
-    depth_along_view,
-    linear_light,
-    read_exr,
-    read_image,
-    rgba_picture,
-    with_spread_colors,
-    write_exr,
-    write_film,
-)
+from warpcage.studio.films.video import with_spread_colors, write_film
+from warpcage.view import depth_along_view, linear_light, read_exr, read_image, rgba_picture, write_exr
 
 av = pytest.importorskip("av")
 
@@ -52,10 +44,10 @@ def test_a_still_with_opacity_lies_over_any_color(files, tmp_path):
 
 
 def test_an_exr_holds_light_times_opacity_and_depth(files, tmp_path):
-    words = ["render", "@ball.npz", *DEFORMED, *VIEW]
-    succeed(files, *words, "--transparent", "-o", tmp_path / "ball.png")
-    succeed(files, *words, "--transparent", "-o", tmp_path / "ball.exr")
-    succeed(files, *words, "--background", "white", "-o", tmp_path / "white.exr")
+    argv = ["render", "@ball.npz", *DEFORMED, *VIEW]
+    succeed(files, *argv, "--transparent", "-o", tmp_path / "ball.png")
+    succeed(files, *argv, "--transparent", "-o", tmp_path / "ball.exr")
+    succeed(files, *argv, "--background", "white", "-o", tmp_path / "white.exr")
     straight, channels = read_image(tmp_path / "ball.png"), read_exr(tmp_path / "ball.exr")
     rgba, depth = channels["RGBA"].astype(float), channels["Z"]
     assert channels["RGBA"].dtype == np.float16 and depth.dtype == np.float32
@@ -94,10 +86,10 @@ def test_depth_in_a_file_is_along_the_view():
 @pytest.mark.parametrize("ending", ["mov", "webm"])
 def test_a_film_with_opacity_opened_again(files, tmp_path, ending):
     """Over black, white and green it looks as the frames themselves do: no dark rim, no loss of opacity."""
-    words = ["animate", "@ball.npz", *DEFORMED, *VIEW, "--size", 65, 49, "--frames", 3, "--turn", 0, "--quiet"]
-    words += ["--background", "transparent"]
-    succeed(files, *words, "-o", tmp_path / "frames")
-    succeed(files, *words, "-o", tmp_path / f"film.{ending}")
+    argv = ["animate", "@ball.npz", *DEFORMED, *VIEW, "--size", 65, 49, "--frames", 3, "--turn", 0, "--quiet"]
+    argv += ["--background", "transparent"]
+    succeed(files, *argv, "-o", tmp_path / "frames")
+    succeed(files, *argv, "-o", tmp_path / f"film.{ending}")
     frames = np.array([read_image(path) for path in sorted((tmp_path / "frames").glob("*.png"))])
     film = read_film(tmp_path / f"film.{ending}")
     assert film.shape == frames.shape == (3, 49, 65, 4)
@@ -110,13 +102,13 @@ def test_a_film_with_opacity_opened_again(files, tmp_path, ending):
 
 def test_a_folder_of_exr_files_goes_on_where_it_was_left(files, tmp_path, capsys):
     folder = tmp_path / "frames"
-    words = ["animate", "@ball.npz", "-o", folder, *VIEW, "--frames", 3, "--quiet", "--transparent", "--format", "exr"]
-    succeed(files, *words)
+    argv = ["animate", "@ball.npz", "-o", folder, *VIEW, "--frames", 3, "--quiet", "--transparent", "--format", "exr"]
+    succeed(files, *argv)
     whole = [path.read_bytes() for path in sorted(folder.glob("*.exr"))]
     assert len(whole) == 3
     (folder / "frame_0001.exr").write_bytes(whole[1][:-50])
     capsys.readouterr()
-    succeed(files, *words)
+    succeed(files, *argv)
     assert "1 frame, 2 were there already" in capsys.readouterr().out
     again = [read_exr(path) for path in sorted(folder.glob("*.exr"))]
     assert len(again) == 3 and all(set(one) == {"RGBA", "Z"} for one in again)
@@ -143,7 +135,7 @@ def test_straight_colors_of_a_frame():
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("argv", "message"),
     [
         (["-o", "@new.mp4", "--background", "transparent"], "a film that ends in .mp4 has no opacity: give .mov"),
         (["-o", "@new.gif", "--transparent"], "a film that ends in .gif has no opacity"),
@@ -153,9 +145,9 @@ def test_straight_colors_of_a_frame():
         (["-o", "@new", "--format", "exr", "--show", "alpha"], "leave out --show"),
     ],
 )
-def test_what_has_no_opacity_is_refused_before_anything_is_written(files, words, message, capsys):
+def test_what_has_no_opacity_is_refused_before_anything_is_written(files, argv, message, capsys):
     before = sorted(files.rglob("*"))
-    assert run(files, "animate", "@ball.npz", "--size", 16, "--frames", 2, "--quiet", *words) == 2
+    assert run(files, "animate", "@ball.npz", "--size", 16, "--frames", 2, "--quiet", *argv) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
     assert sorted(files.rglob("*")) == before

@@ -1,10 +1,10 @@
-"""Cameras that frame an object, and the course of a film."""
+"""Cameras that frame an object."""
 
 import numpy as np
 import pytest
 from refusals import refused
 
-from warpcage.view import framing_orbit, pose_weights
+from warpcage.view import framing_orbit
 
 
 @pytest.mark.parametrize("width, height", [(64, 64), (90, 40), (40, 90)])
@@ -33,14 +33,3 @@ def test_orbit_of_one_point_and_what_it_refuses():
     refused(lambda: framing_orbit(np.zeros((0, 3)), 1), match="at least one point")
     refused(lambda: framing_orbit([[0, 0, 0]], 1, fov_degrees=180), match="fov")
     refused(lambda: framing_orbit([[0, 0, 0]], 0), match="whole number of at least 1")
-
-
-def test_pose_weights():
-    np.testing.assert_allclose(pose_weights(4), [0, 0.5, 1, 0.5], atol=1e-12)
-    once = pose_weights(5, "once")
-    np.testing.assert_allclose(once[[0, 2, 4]], [0, 0.5, 1], atol=1e-12)
-    assert (np.diff(once) > 0).all()
-    np.testing.assert_array_equal(pose_weights(3, "hold"), 1.0)
-    assert pose_weights(1, "once").shape == (1,)
-    refused(lambda: pose_weights(3, "wobble"), match="wobble")
-    refused(lambda: pose_weights(0), match="at least one frame")

@@ -65,7 +65,7 @@ def test_right_cameras_are_not_doubted(scene):
 
 
 def two_rings():
-    """Cameras that look at two places, one above the other, with pictures too small to tell more."""
+    """Cameras that look at two places, one above the other, with pictures too small to show more."""
     around = warpcage.turntable((0, 0, 0), 2.0, 20, 6, width=24, height=24, fov_degrees=40)
     motion = np.eye(4)
     motion[2, 3] = 9.0

@@ -101,8 +101,8 @@ def test_the_report_says_what_was_found(walk):
     assert 85 < report.around < 140 and 10 < report.elevation[0] < report.elevation[1] < 60  # it walked 250 degrees
     assert report.sphere < report.upper < 0.7
     page = (folder / "capture.md").read_text()
-    for words in ("18 of 18", "contact.png", "box.png", "cameras look at", "Walk all the way around"):
-        assert words in page
+    for message in ("18 of 18", "contact.png", "box.png", "cameras look at", "Walk all the way around"):
+        assert message in page
     assert not any(entry.name.startswith(".scene") for entry in folder.parent.iterdir())
 
 

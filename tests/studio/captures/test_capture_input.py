@@ -17,7 +17,7 @@ pycolmap = pytest.importorskip("pycolmap", minversion="4.2")
 
 
 @pytest.fixture(scope="module")
-def glances(shots):
+def small_shots(shots):
     """Pictures of a short walk."""
     return shots[0][:6]
 
@@ -47,10 +47,10 @@ def views_that_are_only_turned(folder):
     save_pictures(folder, render_table(cameras))
 
 
-def refused(source, folder, words, error=ValueError):
+def refused(source, folder, message, error=ValueError):
     """One line is said; the folder is as it was."""
     before = sorted(folder.rglob("*"))
-    with pytest.raises(error, match=words) as caught:
+    with pytest.raises(error, match=message) as caught:
         warpcage.capture(source, folder / "new" / "scene", progress=False)
     assert sorted(folder.rglob("*")) == before
     line = str(caught.value)
@@ -58,7 +58,7 @@ def refused(source, folder, words, error=ValueError):
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "message"),
     [
         (lambda source: None, "is not there"),
         (lambda source: source.mkdir(), r"holds no pictures \(.jpg"),
@@ -66,18 +66,18 @@ def refused(source, folder, words, error=ValueError):
         (lambda source: save_pictures(source / "images", [BLACK]), "give one of its folders images"),
     ],
 )
-def test_no_pictures(tmp_path, make, words):
+def test_no_pictures(tmp_path, make, message):
     make(tmp_path / "in")
-    refused(tmp_path / "in", tmp_path, words, FileNotFoundError)
+    refused(tmp_path / "in", tmp_path, message, FileNotFoundError)
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "message"),
     [
         (lambda source: save_pictures(source, [BLACK]), "holds 1 picture: cameras are found of at least 3"),
         (lambda source: save_pictures(source, [BLACK] * 2), "holds 2 pictures: cameras are found of at least 3"),
         (broken_pictures, "none of the 3 pictures"),
-        (lambda source: source.write_bytes(b"words"), "cannot be read as a video, this looks like another kind of"),
+        (lambda source: source.write_bytes(b"text"), "cannot be read as a video, this looks like another kind of"),
         (still_video, "shows 1 different view: cameras are found where the view moves"),
         (
             lambda source: save_pictures(source, [np.full((150, 200, 3), 90 + 10 * k, np.uint8) for k in range(5)]),
@@ -90,19 +90,19 @@ def test_no_pictures(tmp_path, make, words):
         (views_that_are_only_turned, "(from about one place|which is too few to go by).*walk around the object"),
     ],
 )
-def test_what_has_no_cameras(tmp_path, make, words):
+def test_what_has_no_cameras(tmp_path, make, message):
     make(tmp_path / "in")
-    refused(tmp_path / "in", tmp_path, words)
+    refused(tmp_path / "in", tmp_path, message)
 
 
-def test_pictures_of_two_scenes(tmp_path, glances):
+def test_pictures_of_two_scenes(tmp_path, small_shots):
     """The same walk in a mirrored world is another scene."""
-    save_pictures(tmp_path / "in", [*glances[:4], *glances[:4, :, ::-1]])
+    save_pictures(tmp_path / "in", [*small_shots[:4], *small_shots[:4, :, ::-1]])
     refused(tmp_path / "in", tmp_path, r"groups that share nothing \(4 with p000 and p003; 4 with p004 and p007\)")
 
 
-def test_a_few_pictures_of_something_else_are_left_out(tmp_path, glances):
-    save_pictures(tmp_path / "in", glances)
+def test_a_few_pictures_of_something_else_are_left_out(tmp_path, small_shots):
+    save_pictures(tmp_path / "in", small_shots)
     save_pictures(tmp_path / "in", moving_pictures([0, 50], (150, 200)), first=6)
     (tmp_path / "in" / "p008.png").write_bytes((tmp_path / "in" / "p000.png").read_bytes()[:5000])
     with pytest.warns(UserWarning) as said:
@@ -114,10 +114,10 @@ def test_a_few_pictures_of_something_else_are_left_out(tmp_path, glances):
     assert "overlap too little" in (tmp_path / "out/capture.md").read_text()
 
 
-def test_pictures_that_are_named_are_used(tmp_path, glances, capsys):
+def test_pictures_that_are_named_are_used(tmp_path, small_shots, capsys):
     """By a list with or without endings, or by a text file as Windows writes it; the rest is not looked at. How long it
     takes is said before the matches."""
-    folder = save_pictures(tmp_path / "in", glances)
+    folder = save_pictures(tmp_path / "in", small_shots)
     (tmp_path / "names.txt").write_bytes("\ufeffp000.png\r\n\r\np002.png\r\np001\r\np003.png\r\n".encode())
     report = warpcage.capture(folder, tmp_path / "out", pictures=tmp_path / "names.txt", progress=True)
     assert report.pictures == ["p000", "p001", "p002", "p003"] and report.registered_count == 4
@@ -129,7 +129,7 @@ def test_pictures_that_are_named_are_used(tmp_path, glances, capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         ({"pictures": ["p000.png", "p009.png"]}, "holds no picture named p009.png: "),
         ({"pictures": b"names"}, "pictures must be a text file or a"),
@@ -139,8 +139,8 @@ def test_pictures_that_are_named_are_used(tmp_path, glances, capsys):
         ({"path": "walk.mp4", "pictures": ["p000"]}, "is a video"),
         ({"path": "in/p000.png"}, "is one picture: give a folder"),
         ({"output": "full"}, "there and not empty"),
-        ({"output": "full/dear.txt"}, "is a file"),
-        ({"output": "full/dear.txt/x"}, "not a folder"),
+        ({"output": "full/kept.txt"}, "is a file"),
+        ({"output": "full/kept.txt/x"}, "not a folder"),
         ({"frames": 2}, "^frames must be a whole number"),
         ({"frames": 10.5}, "^frames must be a whole number"),
         ({"feature_size": 10}, "^feature_size must be a whole number"),
@@ -148,22 +148,22 @@ def test_pictures_that_are_named_are_used(tmp_path, glances, capsys):
         ({"progress": 5}, "progress must be True, False"),
     ],
 )
-def test_options_that_are_refused(tmp_path, monkeypatch, options, words):
+def test_options_that_are_refused(tmp_path, monkeypatch, options, message):
     monkeypatch.chdir(tmp_path)
     save_pictures(tmp_path / "in", [BLACK] * 3)
     (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "dear.txt").write_text("kept")
+    (tmp_path / "full" / "kept.txt").write_text("kept")
     (tmp_path / "walk.mp4").write_bytes(b"")
-    with pytest.raises((ValueError, FileNotFoundError), match=words):
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
         warpcage.capture(**({"path": "in", "output": "out", "progress": False} | options))
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["full", "in", "walk.mp4"]
-    assert (tmp_path / "full" / "dear.txt").read_text() == "kept"
+    assert (tmp_path / "full" / "kept.txt").read_text() == "kept"
 
 
-def test_an_interrupted_capture_continues(tmp_path, glances, monkeypatch, capsys):
+def test_an_interrupted_capture_continues(tmp_path, small_shots, monkeypatch, capsys):
     """After an interrupt in the mapping the features are not looked for again, and the cameras are those of a capture
     that went through, to the bit. The output may be there, empty, and beside it what is left of other pictures."""
-    folder, output = save_pictures(tmp_path / "in", glances), tmp_path / "out"
+    folder, output = save_pictures(tmp_path / "in", small_shots), tmp_path / "out"
     output.mkdir()
     called = []
     with monkeypatch.context() as interrupted:
@@ -195,9 +195,9 @@ def test_an_interrupted_capture_continues(tmp_path, glances, monkeypatch, capsys
     assert main(command) == 2 and capsys.readouterr().err.startswith("warpcage: error: output folder")
 
 
-def test_an_interrupt_ends_what_colmap_does(tmp_path, glances, monkeypatch):
-    """A signal is heard while COLMAP works, in its own thread."""
-    folder, ended = save_pictures(tmp_path / "in", [np.kron(p, np.ones((2, 2, 1), np.uint8)) for p in glances]), []
+def test_an_interrupt_ends_what_colmap_does(tmp_path, small_shots, monkeypatch):
+    """A signal is handled while COLMAP works, in its own thread."""
+    folder, ended = save_pictures(tmp_path / "in", [np.kron(p, np.ones((2, 2, 1), np.uint8)) for p in small_shots]), []
     extract = pycolmap.extract_features
 
     def interrupted(*arguments, **options):
@@ -243,22 +243,22 @@ def test_how_long_a_capture_takes():
     assert time_line(3, 3, 5, 1) == "3 pictures, 3 pairs to match: about 1 minute on 1 core"
 
 
-def test_a_capture_tells_how_far_it_is_and_ends_when_it_is_asked_to(tmp_path, glances, capfd):
+def test_a_capture_tells_how_far_it_is_and_ends_when_it_is_asked_to(tmp_path, small_shots, capfd):
     """The same call goes on from there."""
-    folder, output, told, step = save_pictures(tmp_path / "in", glances[:4]), tmp_path / "out", [], ""
+    folder, output, reports, step = save_pictures(tmp_path / "in", small_shots[:4]), tmp_path / "out", [], ""
 
-    def progress(done, total, words):
-        told.append((done, total, words))
+    def progress(done, total, message):
+        reports.append((done, total, message))
         assert done >= 0 and (done <= total or total == 0)
-        return words != step
+        return message != step
 
     steps = ["shrink", "features", "matches", "cameras", "undistort"]
     for step in ["shrink", "matches", "cameras", "undistort"]:
-        told.clear()
+        reports.clear()
         with pytest.raises(warpcage.Cancelled, match=f"{step} was cancelled"):
             warpcage.capture(folder, output, progress=progress)
-        assert list(dict.fromkeys(words for *_, words in told)) == steps[: steps.index(step) + 1]
-        assert told[-1][2] == step and not output.exists() and (tmp_path / ".out.capture").is_dir()
+        assert list(dict.fromkeys(message for *_, message in reports)) == steps[: steps.index(step) + 1]
+        assert reports[-1][2] == step and not output.exists() and (tmp_path / ".out.capture").is_dir()
     step = ""
     report = warpcage.capture(folder, output, progress=progress)
-    assert report.registered_count == 4 and told[-1] == (4, 4, "undistort") and capfd.readouterr() == ("", "")
+    assert report.registered_count == 4 and reports[-1] == (4, 4, "undistort") and capfd.readouterr() == ("", "")

@@ -90,7 +90,7 @@ def test_masks_take_the_wall_away_and_go_with_the_scene(tmp_path, turning):
 
 
 @pytest.mark.parametrize(
-    ("masks", "words"),
+    ("masks", "message"),
     [
         ("nowhere", "are not there: give a folder"),
         ("in/p000.npy", "one picture for all, this looks like"),
@@ -99,14 +99,14 @@ def test_masks_take_the_wall_away_and_go_with_the_scene(tmp_path, turning):
         ("black.png", "in what masks leave of them, 0 features"),
     ],
 )
-def test_masks_that_are_refused(tmp_path, turning, masks, words):
+def test_masks_that_are_refused(tmp_path, turning, masks, message):
     folder = save_pictures(tmp_path / "in", turning[0][:3])
     (folder / "p000.npy").write_bytes(b"")
     save_masks(tmp_path / "other", [turning[1][0]], "x{}.png")
     save_masks(tmp_path / "small", np.zeros((3, 9, 9), np.uint8))
     Image.new("L", SIZE).save(tmp_path / "black.png")
     options = {"output": tmp_path / "out", "masks": tmp_path / masks, "progress": False}
-    refused(lambda: warpcage.capture(folder, **options), match=words, error=(ValueError, FileNotFoundError))
+    refused(lambda: warpcage.capture(folder, **options), match=message, error=(ValueError, FileNotFoundError))
     assert not (tmp_path / "out").exists()
 
 

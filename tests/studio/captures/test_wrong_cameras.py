@@ -110,14 +110,14 @@ def test_a_first_solution_is_kept_where_the_second_is_worse(tmp_path, scene):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "words"),
+    ("wrong", "message"),
     [
         (lambda poses: torn_in_two(poses, 9), r": 5 .*p09 to p13.* 9 .*p00 to p08"),
         (inside_out, "come out inside out.*least those of p"),
     ],
 )
-def test_what_comes_out_wrong_both_ways_is_refused(tmp_path, scene, wrong, words):
-    refused(lambda: solved(tmp_path, scene, wrong(scene[0]), wrong(scene[0])), match=words)
+def test_what_comes_out_wrong_both_ways_is_refused(tmp_path, scene, wrong, message):
+    refused(lambda: solved(tmp_path, scene, wrong(scene[0]), wrong(scene[0])), match=message)
     assert not (tmp_path / "kept").exists()
 
 

@@ -1,4 +1,4 @@
-"""Keyframes, camera paths and the words that name poses."""
+"""Keyframes, camera paths and the texts that name poses."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,8 @@ import pytest
 from warpcage import Cage, Camera, turntable
 from warpcage.cage import Preset, is_preset
 from warpcage.studio.films import Keyframes, read_pose
-from warpcage.view import cameras_along, frame_places, pose_along, pose_weights, value_along
+from warpcage.studio.films.motion import cameras_along, frame_places, pose_along, pose_weights
+from warpcage.view import value_along
 
 BOX = Cage.box([-1, -1, -1], [1, 1, 1], segments=2)
 
@@ -73,8 +74,8 @@ def test_camera_paths_go_through_their_cameras():
     ("call", "message"),
     [
         (lambda: frame_places(0, 2), "at least one frame"),
-        (lambda: frame_places(2, 2, "jump"), "motion 'jump'"),
-        (lambda: frame_places(2, 2, "once", "cubic"), "interpolation 'cubic'"),
+        (lambda: frame_places(2, 2, "jump"), "motion must be .* got 'jump'"),
+        (lambda: frame_places(2, 2, "once", "cubic"), "interpolation must be .* got 'cubic'"),
         (lambda: value_along([np.zeros(1)] * 2, 1.5), "must be 0 to 1"),
         (lambda: cameras_along([], 2), "at least one camera"),
         (
@@ -90,7 +91,7 @@ def test_bad_input_is_refused(call, message):
         call()
 
 
-# -- Poses as words
+# -- Poses as texts
 
 
 @pytest.mark.parametrize(

@@ -21,10 +21,10 @@ from warpcage.view import read_image
 
 
 def test_the_package_runs_as_a_module():
-    words = [sys.executable, "-m", "warpcage"]
-    helped = subprocess.run([*words, "--help"], capture_output=True, text=True)
+    argv = [sys.executable, "-m", "warpcage"]
+    helped = subprocess.run([*argv, "--help"], capture_output=True, text=True)
     assert helped.returncode == 0 and helped.stdout.startswith("usage: warpcage ")
-    wrong = subprocess.run([*words, "info", "nowhere.npz"], capture_output=True, text=True)
+    wrong = subprocess.run([*argv, "info", "nowhere.npz"], capture_output=True, text=True)
     assert wrong.returncode == 2 and "nowhere.npz" in wrong.stderr and wrong.stderr.count("\n") == 1
 
 
@@ -45,11 +45,11 @@ def test_warnings_take_one_line_without_a_place_in_the_source(capsys, monkeypatc
 )  # fmt: skip
 def test_help_of_long_commands_begins_with_the_usual_options(command, rare, capsys):
     said = {}
-    for words in ("--help", "--help all"):
+    for argv in ("--help", "--help all"):
         with pytest.raises(SystemExit) as leave:
-            main([command, *words.split()])
+            main([command, *argv.split()])
         assert leave.value.code == 0
-        said[words] = capsys.readouterr().out
+        said[argv] = capsys.readouterr().out
     short, whole = said.values()
     options = re.findall(r"^  (-.*)$", short, re.MULTILINE)
     assert len(options) == 11 and rare not in short and rare in whole  # ten and --help
@@ -67,7 +67,7 @@ def test_help_has_no_words_of_the_code(path):
     assert re.findall(INNER_WORDS, path.read_text()) == []
 
 
-def test_a_folder_made_for_an_output_is_told_and_not_left_by_a_command_that_fails(files, tmp_path, capsys):
+def test_a_folder_made_for_an_output_is_reported_and_not_left_by_a_command_that_fails(files, tmp_path, capsys):
     picture = tmp_path / "new" / "one" / "ball.png"
     assert run(files, "render", "@ball.npz", "-o", picture, "--size", 8, "--device", "cpu") == 0
     assert picture.exists() and f"warpcage: made folder {picture.parent}\n" in capsys.readouterr().err
@@ -78,7 +78,7 @@ def test_a_folder_made_for_an_output_is_told_and_not_left_by_a_command_that_fail
 
 
 @pytest.mark.parametrize(
-    "words",
+    "argv",
     [
         ["info", "@picture.png"],
         ["check", "@picture.png"],
@@ -96,19 +96,19 @@ def test_a_folder_made_for_an_output_is_told_and_not_left_by_a_command_that_fail
         ["animate", "@ball.npz", "--cameras", "@picture.stage.json", "-o", "@new.mp4"],
         ["mesh", "@ball.npz", "--selection", "@picture.png", "-o", "@new.obj"],
     ],
-    ids=lambda words: " ".join(map(str, words[:3])),
+    ids=lambda argv: " ".join(map(str, argv[:3])),
 )
-def test_a_wrong_kind_of_file_is_told_as_what_it_looks_like(words, files, tmp_path, capsys):
+def test_a_wrong_kind_of_file_is_reported_as_what_it_looks_like(argv, files, tmp_path, capsys):
     for name in ("picture.png", "picture.stage.json"):
         iio.imwrite(files / name, np.zeros((4, 4, 3), np.uint8), extension=".png")
-    assert run(files, *words) == 2
+    assert run(files, *argv) == 2
     said = capsys.readouterr().err
     assert "looks like a picture" in said and said.count("\n") == 1
 
 
-@pytest.mark.parametrize("words", [["check", "@scene"], ["pose", "@scene", "-o", "@new.obj", "--bend", 3]])
-def test_a_folder_in_place_of_a_cage_is_told(words, files, capsys):
-    assert run(files, *words) == 2
+@pytest.mark.parametrize("argv", [["check", "@scene"], ["pose", "@scene", "-o", "@new.obj", "--bend", 3]])
+def test_a_folder_in_place_of_a_cage_is_reported(argv, files, capsys):
+    assert run(files, *argv) == 2
     assert "must end in .obj" in (said := capsys.readouterr().err) and said.endswith(", this is a folder\n")
 
 
@@ -207,9 +207,9 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_ends_with_one_line_and_status_2(files, case, capsys):
-    words, expected = BAD[case]
+    argv, expected = BAD[case]
     before = sorted(files.rglob("*"))
-    assert run(files, *words) == 2
+    assert run(files, *argv) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     if expected is not None:
         assert len(lines) == 1 and lines[0].startswith("warpcage: error: "), lines
@@ -233,10 +233,10 @@ def test_interruption_leaves_nothing_and_status_130(files, capsys, monkeypatch):
 
 def test_fit_and_evaluate(files, capsys, tmp_path, device):
     out = tmp_path / "deep" / "field.npz"
-    words = ["--quiet", "--device", device]
-    succeed(files, "fit", "@scene", "-o", out, "--resolution", 32, "--epochs", 6, "--seed", 3, *words)
+    argv = ["--quiet", "--device", device]
+    succeed(files, "fit", "@scene", "-o", out, "--resolution", 32, "--epochs", 6, "--seed", 3, *argv)
     capsys.readouterr()
-    succeed(files, "evaluate", out, "@scene", "--split", "train", "--json", tmp_path / "psnr.json", *words)
+    succeed(files, "evaluate", out, "@scene", "--split", "train", "--json", tmp_path / "psnr.json", *argv)
     table = capsys.readouterr().out.splitlines()
     assert len(table) == 1 + 6 + 1 and table[1].split()[0] == "r_0" and table[-1].startswith("mean")
     report = json.loads((tmp_path / "psnr.json").read_text())
@@ -260,8 +260,8 @@ def test_evaluate_says_where_it_errs(files, capsys, tmp_path):
         rgb[3, 4] = 0 if i == 1 else rgb[3, 4]
         iio.imwrite(folder / "test" / f"r_{i}.png", rgb)
     (folder / "transforms_test.json").write_text(json.dumps(transforms))
-    words = ["--worst", tmp_path / "worst.png", "--json", tmp_path / "psnr.json", "--quiet"]
-    succeed(files, "evaluate", "@ball.npz", folder, *words)
+    argv = ["--worst", tmp_path / "worst.png", "--json", tmp_path / "psnr.json", "--quiet"]
+    succeed(files, "evaluate", "@ball.npz", folder, *argv)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == ["view", "PSNR", "dB", "SSIM"] and "view r_1" in lines[-1]
     assert float(lines[1].split()[1]) > 50 > float(lines[2].split()[1])

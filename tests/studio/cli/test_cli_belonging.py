@@ -97,15 +97,15 @@ def test_a_file_that_is_not_needed_changes_nothing(place, capsys):
 
 @pytest.mark.parametrize("command", ["render", "animate", "info"])
 def test_other_commands_say_it_too(place, tmp_path, capsys, command):
-    words = {
+    argv = {
         "render": ["-o", str(tmp_path / "a.png"), "--camera", f"{place / 'scene'}:0"],
         "animate": ["-o", str(tmp_path / "film"), "--camera", f"{place / 'scene'}:0", "--frames", "1", "--quiet"],
         "info": ["--scene", str(place / "scene")],
     }[command]
-    main([command, str(place / "export" / "splat.ply"), "--device", "cpu", *words])
+    main([command, str(place / "export" / "splat.ply"), "--device", "cpu", *argv])
     assert "do not belong together" in capsys.readouterr().err
-    words = [word.replace("film", "second") for word in words] + ["--frame", str(place / "frame.json")]
-    main([command, str(place / "export" / "splat.ply"), "--device", "cpu", *words])
+    argv = [word.replace("film", "second") for word in argv] + ["--frame", str(place / "frame.json")]
+    main([command, str(place / "export" / "splat.ply"), "--device", "cpu", *argv])
     said = capsys.readouterr().err
     assert "moved out of nerfstudio's coordinates" in said and "belong together" not in said
 
@@ -114,8 +114,8 @@ def test_figures_in_python_and_in_job_files_warn_of_it(place, tmp_path):
     scene = warpcage.load_scene(place / "scene", split="all")
     with pytest.warns(UserWarning, match="do not belong together"):
         warpcage.evaluate(SplatField.load(place / "export" / "splat.ply", device="cpu"), scene)
-    words = {"id": "a", "kind": "evaluate", "field": f"{place / 'export' / 'splat.ply'}", "scene": f"{place / 'scene'}"}
-    lines = [{"format": "warpcage jobs", "version": 1}, words | {"split": "all", "output": "a.json"}]
+    argv = {"id": "a", "kind": "evaluate", "field": f"{place / 'export' / 'splat.ply'}", "scene": f"{place / 'scene'}"}
+    lines = [{"format": "warpcage jobs", "version": 1}, argv | {"split": "all", "output": "a.json"}]
     (tmp_path / "jobs.jsonl").write_text("\n".join(map(json.dumps, lines)))
     with pytest.warns(UserWarning, match="do not belong together"):
         warpcage.run_jobs(tmp_path / "jobs.jsonl", tmp_path / "out", device="cpu")
@@ -137,21 +137,21 @@ def test_bake_writes_splats_where_the_dataset_is(place, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("turn", "scale", "words"),
+    ("turn", "scale", "argv"),
     [
         (Rotation.from_euler("x", -90, degrees=True), 1.0, "turning it by 90 degrees about x (y up in place of z up"),
         (Rotation.from_euler("z", 180, degrees=True), 1.0, "turning it by 180 degrees about z would explain"),
         (Rotation.identity(), 12.0, "scaling it by about 0.08"),
     ],
 )
-def test_what_would_explain_it_is_said(place, turn, scale, words):
+def test_what_would_explain_it_is_said(place, turn, scale, argv):
     field, scene = true_field("cpu", 120), warpcage.load_scene(place / "scene", split="all")
     held = field.contents
     quaternions = (turn * Rotation.from_quat(held.quaternions[:, [1, 2, 3, 0]])).as_quat()[:, [3, 0, 1, 2]]
     values = held.log_scales + np.log(scale), quaternions, held.logits, held.harmonics[:, :1]
     moved = SplatField(scale * turn.apply(held.centers), *values, device="cpu")
     line = mismatch(moved, SceneViews.of(scene))
-    assert line is not None and words in line and "\n" not in line
+    assert line is not None and argv in line and "\n" not in line
 
 
 def test_nothing_in_the_picture_is_said(place, tmp_path, capsys):
@@ -167,15 +167,15 @@ def test_nothing_in_the_picture_is_said(place, tmp_path, capsys):
         ("{", "is not a JSON file"),
         ({"scale": 1}, "has no transform and scale"),
         ({"transform": 3, "scale": 1}, "transform must be a 4x4 matrix"),
-        ({"transform": np.eye(4)[:3].tolist(), "scale": None}, "scale must be a finite number"),
+        ({"transform": np.eye(4)[:3].tolist(), "scale": None}, "scale must be one finite number"),
         ({"transform": np.eye(4)[:3].tolist(), "scale": 0}, "scale must be positive"),
-        ({"transform": np.eye(4)[:3].tolist(), "scale": 1e999}, "scale must be a finite number"),
+        ({"transform": np.eye(4)[:3].tolist(), "scale": 1e999}, "scale must be one finite number"),
         ({"transform": (2 * np.eye(4))[:3].tolist(), "scale": 1}, "must be a turn and a shift"),
         ({"transform": np.diag([1, 1, -1, 1.0])[:3].tolist(), "scale": 1}, "must be a turn and a shift"),
         ({"transform": np.zeros((3, 4)).tolist(), "scale": 1}, "must be a turn and a shift"),
         ({"transform": np.eye(4)[:3].tolist(), "scale": 1e-300}, "a scale of 1e-300 .* is not a frame's"),
         ({"transform": [[1, 0, 0, 1e308], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}, "a shift of .* is not a frame's"),
-        ({"transform": [[1, 0, 0, "a"], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}, "must be a finite number"),
+        ({"transform": [[1, 0, 0, "a"], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}, "must be one finite number"),
         ({"transform": np.diag([1, 1, 1, 2.0]).tolist(), "scale": 1}, "must be a turn and a shift"),
     ],
 )
@@ -190,8 +190,8 @@ def test_files_of_frames_that_cannot_be_used(tmp_path, content, message):
 def test_frames_are_for_splats(tmp_path, place, capsys):
     parts = np.ones((4, 4, 4)), np.zeros((4, 4, 4, 9, 3)), [[-1] * 3, [1] * 3]
     warpcage.VoxelField.from_dense(*parts, device="cpu").save(tmp_path / "f.npz")
-    words = ["-o", str(tmp_path / "a.png"), "--device", "cpu", "--frame", str(place / "frame.json")]
-    assert main(["render", str(tmp_path / "f.npz"), *words]) == 2
+    argv = ["-o", str(tmp_path / "a.png"), "--device", "cpu", "--frame", str(place / "frame.json")]
+    assert main(["render", str(tmp_path / "f.npz"), *argv]) == 2
     assert "only splats are moved out of nerfstudio's coordinates" in capsys.readouterr().err
-    assert main(["render", str(tmp_path / "f.npz"), *words[:-1], "sideways"]) == 2
+    assert main(["render", str(tmp_path / "f.npz"), *argv[:-1], "sideways"]) == 2
     assert "takes rest, posed or a .json file, got 'sideways'" in capsys.readouterr().err

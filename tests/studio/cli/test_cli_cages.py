@@ -41,8 +41,8 @@ def test_gltf_meshes_stand_upright(tmp_path, capsys):
 
 
 def test_a_cage_around_a_mesh_says_one_line(files, tmp_path):
-    words = f"cage {files}/posed.obj -o {tmp_path}/cage.obj --vertices 30 --method shell --quiet".split()
-    done = subprocess.run([sys.executable, "-m", "warpcage", *map(str, words)], capture_output=True, text=True)
+    argv = f"cage {files}/posed.obj -o {tmp_path}/cage.obj --vertices 30 --method shell --quiet".split()
+    done = subprocess.run([sys.executable, "-m", "warpcage", *map(str, argv)], capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout.startswith("wrote ") and done.stdout.count("\n") == 1
 
 
@@ -79,8 +79,8 @@ def test_wrapped_cage_holds_the_object(files, tmp_path):
 
 
 def test_cage_of_a_part_of_a_field(files, tmp_path, capsys):
-    words = "--in-box -1 -1 0 1 1 1 --floaters 0.1 --method voxel --symmetry x --vertices 60".split()
-    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "half.glb", *words)
+    argv = "--in-box -1 -1 0 1 1 1 --floaters 0.1 --method voxel --symmetry x --vertices 60".split()
+    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "half.glb", *argv)
     assert "left out" in capsys.readouterr().out
     cage = Cage.load(tmp_path / "half.glb")
     cage.require_usable()
@@ -92,8 +92,8 @@ def test_cage_of_a_part_of_a_field(files, tmp_path, capsys):
 def test_pose_keeps_the_cage_at_rest(tmp_path, capsys):
     Cage.box([[-1, -1, -1], [1, 1, 1]]).save(tmp_path / "cage.obj")
     before = (tmp_path / "cage.obj").read_bytes()
-    words = ["pose", str(tmp_path / "cage.obj"), "-o", str(tmp_path / "." / "cage.obj"), "--twist", "9"]
-    assert main(words) == 2 and "is the cage at rest itself" in capsys.readouterr().err
+    argv = ["pose", str(tmp_path / "cage.obj"), "-o", str(tmp_path / "." / "cage.obj"), "--twist", "9"]
+    assert main(argv) == 2 and "is the cage at rest itself" in capsys.readouterr().err
     assert (tmp_path / "cage.obj").read_bytes() == before
 
 
@@ -104,8 +104,8 @@ def test_pose_takes_steps_in_their_order(files, tmp_path, capsys):
     np.testing.assert_allclose(Cage.load(out).vertices, 2 * (rest.vertices + [1, 0, 0]))
     succeed(files, "pose", "@cage.obj", "-o", out, "--scale", 2, "--translate", 1, 0, 0, "--centre", 0, 0, 0)
     np.testing.assert_allclose(Cage.load(out).vertices, 2 * rest.vertices + [1, 0, 0])
-    words = ["--bend", -40, "--axis", "x", "--towards=-y", "--limits", 0.2, 0.9]
-    succeed(files, "pose", "@cage.obj", "-o", out, *words)
+    argv = ["--bend", -40, "--axis", "x", "--towards=-y", "--limits", 0.2, 0.9]
+    succeed(files, "pose", "@cage.obj", "-o", out, *argv)
     np.testing.assert_allclose(
         Cage.load(out).vertices, rest.bend(-40, axis="x", towards="-y", limits=(0.2, 0.9)).vertices
     )

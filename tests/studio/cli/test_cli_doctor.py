@@ -112,20 +112,20 @@ def test_the_demo_is_the_example_of_the_whole_way(tmp_path, monkeypatch):
     import warpcage.examples.render_lego as example
     from warpcage.studio.cli import main
 
-    words = []
-    monkeypatch.setattr(example, "main", lambda given: words.append(vars(example.parse_arguments(given))))
+    argv = []
+    monkeypatch.setattr(example, "main", lambda given: argv.append(vars(example.parse_arguments(given))))
     assert (
         main(["demo", "--device", "cpu", "-o", str(tmp_path / "here")]) == 0 and main(["demo", "--device", "cpu"]) == 0
     )
-    assert [each["out"] for each in words] == [str(tmp_path / "here"), "warpcage_demo"]
-    assert all(each["data"] is None and each["device"] == "cpu" and not each["no_video"] for each in words)
+    assert [each["out"] for each in argv] == [str(tmp_path / "here"), "warpcage_demo"]
+    assert all(each["data"] is None and each["device"] == "cpu" and not each["no_video"] for each in argv)
 
 
 @pytest.mark.parametrize(
-    "line, words", [("warpcage re", {"render "}), ("warpcage fit scene --quality ", {"fast", "standard", "high"})]
+    "line, argv", [("warpcage re", {"render "}), ("warpcage fit scene --quality ", {"fast", "standard", "high"})]
 )
-def test_a_shell_completes_words(tmp_path, line, words):
+def test_a_shell_completes_arguments(tmp_path, line, argv):
     pytest.importorskip("argcomplete")
-    variables = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(tmp_path / "words"), "COMP_LINE": line}
+    variables = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(tmp_path / "argv"), "COMP_LINE": line}
     subprocess.run([sys.executable, "-m", "warpcage"], env={**os.environ, **variables, "COMP_POINT": str(len(line))})
-    assert set((tmp_path / "words").read_text().split("\013")) == words
+    assert set((tmp_path / "argv").read_text().split("\013")) == argv

@@ -46,8 +46,8 @@ def opened(monkeypatch):
     return editors
 
 
-def edit(files, *words):
-    return run(files, "edit", *words, "--no-browser")
+def edit(files, *argv):
+    return run(files, "edit", *argv, "--no-browser")
 
 
 def error(capsys):
@@ -72,10 +72,10 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("words", "said"), WRONG, ids=[" ".join(words) for words, _ in WRONG])
-def test_what_cannot_be_is_one_line(files, capsys, words, said):
+@pytest.mark.parametrize(("argv", "said"), WRONG, ids=[" ".join(argv) for argv, _ in WRONG])
+def test_what_cannot_be_is_one_line(files, capsys, argv, said):
     before = sorted(os.listdir(files))
-    assert edit(files, *words) == 2
+    assert edit(files, *argv) == 2
     assert said in error(capsys)
     assert sorted(os.listdir(files)) == before
 
@@ -98,8 +98,8 @@ def test_a_port_that_is_taken_is_one_line(files, capsys):
 def test_a_missing_extra_is_one_line_before_anything_is_made(files, capsys, monkeypatch, missing):
     monkeypatch.setitem(sys.modules, missing, None)
     monkeypatch.setattr("warpcage.studio.editor.demo.demo_files", lambda device: pytest.fail("the demo is made"))
-    for words in (("@ball.npz",), ("--demo",)):
-        assert edit(files, *words) == 2
+    for argv in (("@ball.npz",), ("--demo",)):
+        assert edit(files, *argv) == 2
         said = MESSAGES["editor.extra_missing"].format(missing=missing)
         assert re.fullmatch(f"warpcage: error: {said}\n", error(capsys))
 
@@ -152,8 +152,8 @@ def test_the_demo_comes_from_the_cache_and_its_session_goes_into_the_current_fol
     monkeypatch.setenv("WARPCAGE_CACHE", str(cache))
     monkeypatch.setattr("warpcage.studio.editor.demo.fit", lambda *_, **__: pytest.fail("the demo is fitted"))
     monkeypatch.chdir(files)
-    for words in (("--demo",), ("--demo",), ("--demo", "--new")):
-        assert run(files, "edit", *words, "--no-browser") == 0
+    for argv in (("--demo",), ("--demo",), ("--demo", "--new")):
+        assert run(files, "edit", *argv, "--no-browser") == 0
         np.testing.assert_allclose(opened[-1].posed[0].vertices, BOX.vertices)
     out, err = capsys.readouterr()
     assert "kept in warpcage-demo/bricks.session.json" in out and "earlier session" not in err
@@ -178,7 +178,7 @@ def test_a_file_where_the_demos_folder_should_be_is_refused_before_the_demo_is_m
     assert "'warpcage-demo' is not a folder" in line and (files / "warpcage-demo").read_text() == "mine" and not opened
 
 
-def test_a_browser_is_opened_or_the_reader_is_told(files, opened, capsys, monkeypatch):
+def test_a_browser_is_opened_or_the_reader_is_reported(files, opened, capsys, monkeypatch):
     seen = []
     monkeypatch.setattr(webbrowser, "open", lambda url: not seen.append(url))
     run(files, "edit", "@ball.npz")
@@ -197,9 +197,9 @@ sys.exit(main(sys.argv[1:]))
 
 
 def test_an_interrupt_in_the_middle_of_a_drag_ends_it_with_the_session_saved(files):
-    words = ["edit", str(files / "ball.npz"), "--cage", str(files / "cage.obj"), "--no-browser", "--device", "cpu"]
+    argv = ["edit", str(files / "ball.npz"), "--cage", str(files / "cage.obj"), "--no-browser", "--device", "cpu"]
     process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", PROGRAM, *argv], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
 
     async def work():

@@ -34,9 +34,9 @@ def files(tmp_path_factory):
     return folder
 
 
-def render(files, tmp_path, *words, name="picture"):
+def render(files, tmp_path, *argv, name="picture"):
     path = tmp_path / f"{name}.png"
-    succeed(files, "render", "@ball.npz", "-o", path, *VIEW, *words)
+    succeed(files, "render", "@ball.npz", "-o", path, *VIEW, *argv)
     return read_image(path)
 
 
@@ -47,7 +47,7 @@ def expected(files, edits, poses):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "argv"),
     [
         ("cage.obj:posed.obj", EditSpec("cage.obj", "posed.obj")),
         ("cage.obj:posed.obj:keep", EditSpec("cage.obj", "posed.obj", keep=True)),
@@ -63,8 +63,8 @@ def expected(files, edits, poses):
         ("a.obj:my.obj files/b.glb:wave", EditSpec("a.obj", "my.obj files/b.glb:wave")),
     ],
 )
-def test_words_of_an_edit(text, words):
-    assert parse_edit(text) == words
+def test_words_of_an_edit(text, argv):
+    assert parse_edit(text) == argv
 
 
 @pytest.mark.parametrize(
@@ -105,8 +105,8 @@ def test_a_part_fades_to_rest_in_a_band(files, tmp_path):
     """--falloff for all edits, falloff= for one of them; the overlay shows the cage with its held walls."""
     band = CageEdit(TOP, falloff=0.3)
     lifted = expected(files, [band], [POSED_TOP])
-    for words in (["@top.obj:@top_up.obj", "--falloff", 0.3], ["@top.obj:@top_up.obj:falloff=0.3"]):
-        np.testing.assert_allclose(render(files, tmp_path, "--edit", *words), lifted, atol=0.003)
+    for argv in (["@top.obj:@top_up.obj", "--falloff", 0.3], ["@top.obj:@top_up.obj:falloff=0.3"]):
+        np.testing.assert_allclose(render(files, tmp_path, "--edit", *argv), lifted, atol=0.003)
     torn = render(files, tmp_path, "--edit", "@top.obj:@top_up.obj")
     assert np.abs(torn - lifted).mean() > 0.01
     over = render(files, tmp_path, "--cage", "@top.obj", "--posed", "@top_up.obj", "--falloff", 0.3, "--overlay")
@@ -121,8 +121,8 @@ def test_fragments_go_with_the_part(files, tmp_path):
     cut = f"{tmp_path / 'most.obj'}:remove"
     cap = render(files, tmp_path, "--edit", cut)
     assert (cap < 0.9).any()
-    for words in ([f"{cut}:fragments=1.2"], [cut, "--fragments", 1.2]):
-        assert (render(files, tmp_path, "--edit", *words) > 0.98).all()
+    for argv in ([f"{cut}:fragments=1.2"], [cut, "--fragments", 1.2]):
+        assert (render(files, tmp_path, "--edit", *argv) > 0.98).all()
     np.testing.assert_array_equal(render(files, tmp_path, "--edit", cut, "--fragments", 0.1), cap)
 
 
@@ -137,7 +137,7 @@ def test_fragments_by_their_old_name_are_taken_with_a_warning(files, tmp_path, c
     (edit,) = json.loads((tmp_path / "a.json").read_text())["edits"]
     assert edit["remove"] and edit["fragments"] == 1.0
     assert capsys.readouterr().err == (
-        "warpcage: warning: crumbs= is called fragments= now: the next version knows that name alone\n"
+        "warpcage: warning: crumbs= is called fragments= now: the old name goes with the next version\n"
     )
 
 
@@ -149,15 +149,15 @@ def test_one_edit_is_what_cage_and_posed_are(files, tmp_path):
 
 
 def test_an_edits_file_and_its_cages_move_together(files, tmp_path, capsys):
-    words = ["--edit", "@top.obj:@top_up.obj", "--edit", "@left.obj:@left.json:far:keep", "--edit", "@other.obj:rest"]
+    argv = ["--edit", "@top.obj:@top_up.obj", "--edit", "@left.obj:@left.json:far:keep", "--edit", "@other.obj:rest"]
     folder = tmp_path / "house"
     folder.mkdir()
     for name in ("top.obj", "top_up.obj", "left.obj", "left.json", "other.obj"):
         shutil.copy(files / name, folder)
-    succeed(folder, "edits", "-o", "@all.edits.json", *words)
+    succeed(folder, "edits", "-o", "@all.edits.json", *argv)
     said = capsys.readouterr().out
     assert "3 edits, in this order" in said and "the source stays (a copy)" in said and "8 vertices" in said
-    wanted = render(files, tmp_path, *words)
+    wanted = render(files, tmp_path, *argv)
     moved = folder.rename(tmp_path / "moved")
     np.testing.assert_array_equal(render(files, tmp_path, "--edits", moved / "all.edits.json"), wanted)
     succeed(moved, "info", "@all.edits.json")
@@ -180,8 +180,8 @@ def test_a_session_of_the_editor_is_an_edits_file(files, tmp_path, capsys):
     document = Document(edits, Selection(), Settings(), View((0, -4, 0), (0, 0, 0), (0, 0, 1)), Timeline(), next_id=4)
     write_session(session, document, VoxelField.load(files / "ball.npz"), "ball.npz")
     picture = render(files, tmp_path, "--edits", session)
-    words = ["--edit", "@top.obj:@top_up.obj", "--edit", "@left.obj:remove"]
-    np.testing.assert_allclose(picture, render(files, tmp_path, *words), atol=0.003)
+    argv = ["--edit", "@top.obj:@top_up.obj", "--edit", "@left.obj:remove"]
+    np.testing.assert_allclose(picture, render(files, tmp_path, *argv), atol=0.003)
     succeed(files, "edits", session)
     assert "2 edits" in capsys.readouterr().out
     assert run(files, "edits", session, "-o", tmp_path / "x.json") == 2
@@ -189,26 +189,26 @@ def test_a_session_of_the_editor_is_an_edits_file(files, tmp_path, capsys):
 
 def test_a_film_of_several_edits(files, tmp_path, capsys):
     """An edit with fewer poses than another stays in its last one; what is removed is not there from the start."""
-    words = ["animate", "@ball.npz", "-o", tmp_path / "film", *VIEW, "--turn", 0, "--motion", "once", "--quiet"]
-    words += ["--interpolation", "linear", "--frames", 3, "--edit", "@left.obj:@left.json"]
-    succeed(files, *words, "--edit", "@top.obj:@top_up.obj")
+    argv = ["animate", "@ball.npz", "-o", tmp_path / "film", *VIEW, "--turn", 0, "--motion", "once", "--quiet"]
+    argv += ["--interpolation", "linear", "--frames", 3, "--edit", "@left.obj:@left.json"]
+    succeed(files, *argv, "--edit", "@top.obj:@top_up.obj")
     frames = [read_image(tmp_path / "film" / f"frame_000{index}.png") for index in range(3)]
     both = ["--edit", "@left.obj:@left.json:far", "--edit", "@top.obj:@top_up.obj"]
     np.testing.assert_allclose(frames[2], render(files, tmp_path, *both), atol=0.01)
     both[1] = "@left.obj:@left.json:near"
     np.testing.assert_allclose(frames[1], render(files, tmp_path, *both), atol=0.01)
     np.testing.assert_allclose(frames[0], render(files, tmp_path), atol=0.01)
-    assert run(files, *words, "--edit", "@top.obj:remove") == 2
+    assert run(files, *argv, "--edit", "@top.obj:remove") == 2
     assert "other cage, posed" in capsys.readouterr().err
 
 
 def test_bake_takes_edits(files, tmp_path):
-    words = ["--edit", "@top.obj:@top_up.obj", "--edit", "@left.obj:remove"]
+    argv = ["--edit", "@top.obj:@top_up.obj", "--edit", "@left.obj:remove"]
     settings = ["--coordinates", "mean_value", "--resolution", 24]
-    succeed(files, "bake", "@ball.npz", "-o", tmp_path / "baked.npz", *words, *settings)
+    succeed(files, "bake", "@ball.npz", "-o", tmp_path / "baked.npz", *argv, *settings)
     baked = tmp_path / "baked.png"
     succeed(files, "render", tmp_path / "baked.npz", "-o", baked, *VIEW)
-    difference = np.abs(read_image(baked) - render(files, tmp_path, *words)).mean()
+    difference = np.abs(read_image(baked) - render(files, tmp_path, *argv)).mean()
     assert difference < 0.03 < np.abs(read_image(baked) - render(files, tmp_path)).mean()
 
 
@@ -224,7 +224,7 @@ def test_a_cage_is_seen_without_a_pose(files, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("argv", "message"),
     [
         (["--edit", "@gone.obj:rest"], "gone.obj"),
         (["--edit", "@top.obj:rest", "--edit", "@left.obj:@posed.obj"], "edit 2 of 2: cage"),
@@ -240,8 +240,8 @@ def test_a_cage_is_seen_without_a_pose(files, tmp_path):
         (["--edits", "@gone.json"], "gone.json"),
     ],
 )
-def test_bad_edits_end_in_one_line(files, tmp_path, capsys, words, message):
-    assert run(files, "render", "@ball.npz", "-o", tmp_path / "a.png", *VIEW, *words) == 2
+def test_bad_edits_end_in_one_line(files, tmp_path, capsys, argv, message):
+    assert run(files, "render", "@ball.npz", "-o", tmp_path / "a.png", *VIEW, *argv) == 2
     said = capsys.readouterr().err
     assert message in said and said.count("\n") == 1 and not (tmp_path / "a.png").exists()
 

@@ -90,14 +90,14 @@ def test_animate_film(files, tmp_path, ending):
 
 def test_animate_goes_through_keyframes_and_cameras(files, tmp_path):
     path = tmp_path / "film.gif"
-    words = ["animate", "@ball.npz", "-o", path, "--cage", "@cage.obj", *SMALL, "--quiet", "--motion", "once"]
-    succeed(files, *words, "--posed", "@posed.obj", "rest", "--frames", 3, "--turn", 0, "--interpolation", "linear")
+    argv = ["animate", "@ball.npz", "-o", path, "--cage", "@cage.obj", *SMALL, "--quiet", "--motion", "once"]
+    succeed(files, *argv, "--posed", "@posed.obj", "rest", "--frames", 3, "--turn", 0, "--interpolation", "linear")
     frames = iio.imread(path).astype(float)
     assert len(frames) == 3 and np.abs(frames[0] - frames[2]).mean() < 2.0 < np.abs(frames[0] - frames[1]).mean()
     (path.parent / "cams").mkdir()
     folder = tmp_path / "cams" / "frames"
-    words[3] = folder
-    succeed(files, *words, "--posed", "rest", "--frames", 3, "--cameras", "@scene:test", "--overlay")
+    argv[3] = folder
+    succeed(files, *argv, "--posed", "rest", "--frames", 3, "--cameras", "@scene:test", "--overlay")
     first = read_image(folder / "frame_0000.png")
     succeed(
         files,
@@ -120,8 +120,8 @@ def test_animate_keeps_rates_that_are_not_whole(files, tmp_path):
 
 def test_animate_renders_frames_that_are_cut_again(files, tmp_path, capsys):
     folder = tmp_path / "frames"
-    words = ["animate", "@ball.npz", "-o", folder, "--size", 40, "--frames", 6, "--quiet"]
-    succeed(files, *words)
+    argv = ["animate", "@ball.npz", "-o", folder, "--size", 40, "--frames", 6, "--quiet"]
+    succeed(files, *argv)
     paths = sorted(folder.glob("*.png"))
     whole = [path.read_bytes() for path in paths]
     stamps = [path.stat().st_mtime_ns for path in paths]
@@ -131,7 +131,7 @@ def test_animate_renders_frames_that_are_cut_again(files, tmp_path, capsys):
     paths[3].write_bytes(bytes(len(whole[3])))
     write_png(paths[4], np.zeros((20, 20, 3)))  # a picture of another size
     capsys.readouterr()
-    succeed(files, *words)
+    succeed(files, *argv)
     assert capsys.readouterr().out.endswith("5 frames, 1 were there already\n")
     assert [path.read_bytes() for path in paths] == whole
     assert paths[5].stat().st_mtime_ns == stamps[5]
@@ -140,18 +140,18 @@ def test_animate_renders_frames_that_are_cut_again(files, tmp_path, capsys):
 @pytest.mark.parametrize("kind", ["alpha", "depth", "disparity", "masks"])
 def test_animate_shows_other_outputs(files, tmp_path, capsys, kind):
     folder = tmp_path / kind
-    words = [
+    argv = [
         *f"animate @ball.npz -o {folder} --cage {FRONT} --posed translate:0:0:1.5".split(),
         *SMALL,
         *f"--frames 4 --quiet --turn 0 --show {kind}".split(),
     ]
-    succeed(files, *words)
+    succeed(files, *argv)
     said = capsys.readouterr().err
     assert ("uncovered" in said and "% of the film" in said) == (kind == "masks")
     whole = [(folder / f"frame_000{index}.png").read_bytes() for index in range(4)]
     assert read_image(folder / "frame_0001.png").std() > 0.05
     (folder / "frame_0001.png").unlink()
-    succeed(files, *words)  # with the same scale of colours
+    succeed(files, *argv)  # with the same scale of colours
     assert [(folder / f"frame_000{index}.png").read_bytes() for index in range(4)] == whole
 
 
@@ -193,8 +193,8 @@ def test_fields_of_scaled_scenes_come_back_to_scale(files, tmp_path, capsys):
     succeed(files, "render", tmp_path / "small.npz", "-o", tmp_path / "small.png", *view)
     ball, scaled, small = (read_image(tmp_path / f"{name}.png") for name in ("ball", "scaled", "small"))
     assert np.abs(scaled - ball).mean() < 2e-3 < 2e-2 < np.abs(small - ball).mean()
-    for words in (["check", "@cage.obj"], ["cage", "@cage.obj", "-o", tmp_path / "c.obj"], ["info", "@scene"]):
-        assert run(files, *words, "--scene-scale", "0.5") == 2
+    for argv in (["check", "@cage.obj"], ["cage", "@cage.obj", "-o", tmp_path / "c.obj"], ["info", "@scene"]):
+        assert run(files, *argv, "--scene-scale", "0.5") == 2
         assert "--scene-scale is for fields (.npz), got " in capsys.readouterr().err
 
 
@@ -204,11 +204,11 @@ def test_poses_come_from_pose_files(files, tmp_path, capsys):
     PoseFile(rest, {"bent": Cage.load(files / "posed.obj"), "small one": rest.scale(0.8)}).save(path)
     view = [*SMALL, "--camera", "@scene:test:1"]
     succeed(files, "render", "@ball.npz", "-o", tmp_path / "file.png", *view, *DEFORMED)
-    words = ["--cage", "@cage.obj", "--posed"]
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "named.png", *view, *words, f"{path}:bent")
+    argv = ["--cage", "@cage.obj", "--posed"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "named.png", *view, *argv, f"{path}:bent")
     assert (tmp_path / "file.png").read_bytes() == (tmp_path / "named.png").read_bytes()
 
-    film = [*view, "--frames", 3, "--motion", "once", "--quiet", *words]
+    film = [*view, "--frames", 3, "--motion", "once", "--quiet", *argv]
     for folder, poses in (("whole", [path]), ("single", [f"{path}:bent", f"{path}:small one"])):
         succeed(files, "animate", "@ball.npz", "-o", tmp_path / folder, *film, *poses)
     for k in range(3):
@@ -225,7 +225,7 @@ def test_poses_come_from_pose_files(files, tmp_path, capsys):
         (f"{path}:no", f"{str(path)!r}: there is no keyframe 'no', only bent, small one"),
         (tmp_path / "none.json", "is not there"),
     ):
-        assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *view, *words, pose) == 2
+        assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *view, *argv, pose) == 2
         # The scene's pictures are not those of the ball, which a warning says first.
         *warned, error = capsys.readouterr().err.splitlines()
         assert said in error and all("do not belong together" in line for line in warned)
@@ -260,33 +260,33 @@ def test_cages_with_y_up_are_turned_by_every_command(files, tmp_path, capsys):
 
 def test_animate_takes_a_folder_up_where_it_was_left(files, tmp_path, capsys):
     folder = tmp_path / "frames"
-    words = ["animate", "@ball.npz", "-o", folder, *SMALL, "--frames", 3, "--quiet"]
-    succeed(files, *words)
+    argv = ["animate", "@ball.npz", "-o", folder, *SMALL, "--frames", 3, "--quiet"]
+    succeed(files, *argv)
     names = sorted(path.name for path in folder.glob("*.png"))
     assert names == ["frame_0000.png", "frame_0001.png", "frame_0002.png"]
     content = (folder / "frame_0001.png").read_bytes()
     (folder / "frame_0001.png").unlink()
     kept = (folder / "frame_0002.png").stat().st_mtime_ns
     capsys.readouterr()
-    succeed(files, *words)
+    succeed(files, *argv)
     assert "1 frame, 2 were there" in capsys.readouterr().out
     assert (folder / "frame_0001.png").read_bytes() == content
     assert (folder / "frame_0002.png").stat().st_mtime_ns == kept
 
-    assert run(files, *words, "--turn", 90) == 2
+    assert run(files, *argv, "--turn", 90) == 2
     assert "another film (other turn" in capsys.readouterr().err
     (folder / "animation.json").unlink()
-    assert run(files, *words) == 2
+    assert run(files, *argv) == 2
 
 
 def test_a_width_alone_keeps_the_shape_of_a_cameras_picture(files, tmp_path):
     wide = ["--eye", 0, -3, 0, "--target", 0, 0, 0, "--size", 24, 16, "--save-camera", tmp_path / "wide.json"]
     succeed(files, "render", "@ball.npz", "-o", tmp_path / "one.png", *wide)
-    for words in (["--camera", tmp_path / "wide.json"], ["--cameras", tmp_path / "wide.json", "--frames", 1]):
-        film = "--cameras" in words
+    for argv in (["--camera", tmp_path / "wide.json"], ["--cameras", tmp_path / "wide.json", "--frames", 1]):
+        film = "--cameras" in argv
         out = tmp_path / ("film" if film else "two.png")
         command = ["animate", "@ball.npz", "--quiet"] if film else ["render", "@ball.npz"]
-        succeed(files, *command, "-o", out, *words, "--size", 36)
+        succeed(files, *command, "-o", out, *argv, "--size", 36)
         assert read_image(out / "frame_0000.png" if film else out).shape == (24, 36, 3)
 
 
@@ -294,14 +294,14 @@ def test_a_width_alone_keeps_the_shape_of_a_cameras_picture(files, tmp_path):
 def test_a_film_that_shows_cameras_in_another_time_says_so(files, tmp_path, capsys, count, said):
     camera = Camera.look_at((0, -3, 0), (0, 0, 0), width=16, height=16)
     CameraFile([CameraKey(camera, 0.0), CameraKey(camera, 1.0)]).save(tmp_path / "path.json")
-    words = ["--cameras", tmp_path / "path.json", "--fps", 8, "--frames", count, "--quiet"]
-    succeed(files, "animate", "@ball.npz", "-o", tmp_path / "film", *words)
+    argv = ["--cameras", tmp_path / "path.json", "--fps", 8, "--frames", count, "--quiet"]
+    succeed(files, "animate", "@ball.npz", "-o", tmp_path / "film", *argv)
     line = "path.json take 1 s, and are shown in 0.375 s: --frames 9 keeps their times"
     assert (line in capsys.readouterr().err) == said
 
 
 def test_films_in_which_nothing_moves_say_so(files, tmp_path, capsys):
-    words = ["animate", "@ball.npz", "--size", 16, "--frames", 5, "--quiet", "-o", tmp_path / "film.gif"]
+    argv = ["animate", "@ball.npz", "--size", 16, "--frames", 5, "--quiet", "-o", tmp_path / "film.gif"]
     pose = [*DEFORMED, "--resolution", 12]
     for more, still in (
         (["--turn", 0], True),
@@ -310,26 +310,26 @@ def test_films_in_which_nothing_moves_say_so(files, tmp_path, capsys):
         (["--turn", 0, *pose, "--motion", "hold"], True),
         (["--turn", 0, "--cameras", "hand-held"], None),
     ):
-        assert run(files, *words, *more) == (2 if still is None else 0)
+        assert run(files, *argv, *more) == (2 if still is None else 0)
         assert ("nothing moves in this film: its 5 frames are equal" in capsys.readouterr().err) == bool(still)
 
 
 def test_films_say_the_size_that_they_have(files, tmp_path, capsys):
-    words = ["animate", "@ball.npz", "--size", 17, 13, "--frames", 2, "--quiet", "-o"]
-    succeed(files, *words, tmp_path / "film.mp4")
+    argv = ["animate", "@ball.npz", "--size", 17, 13, "--frames", 2, "--quiet", "-o"]
+    succeed(files, *argv, tmp_path / "film.mp4")
     assert "2 frames of 16x12 (cut from 17x13: an MP4 has even sides)" in capsys.readouterr().out
     assert iio.improps(tmp_path / "film.mp4", plugin="pyav").shape == (2, 12, 16, 3)
-    succeed(files, *words, tmp_path / "film.gif")
+    succeed(files, *argv, tmp_path / "film.gif")
     assert "2 frames of 17x13," in capsys.readouterr().out and iio.imread(tmp_path / "film.gif").shape[1:3] == (13, 17)
 
 
 def test_several_poses_make_a_picture_each(files, tmp_path, capsys):
     """As one picture after another, but the field is read once."""
-    words = ["render", "@ball.npz", *SMALL, "--cage", "@cage.obj", "-o"]
-    succeed(files, *words, tmp_path / "poses", "--posed", "bend:20:x:z", "@posed.obj", "rest")
+    argv = ["render", "@ball.npz", *SMALL, "--cage", "@cage.obj", "-o"]
+    succeed(files, *argv, tmp_path / "poses", "--posed", "bend:20:x:z", "@posed.obj", "rest")
     assert "3 pictures of 40x40" in capsys.readouterr().out
     for number, pose in enumerate(("bend:20:x:z", "@posed.obj", "rest"), 1):
-        succeed(files, *words, tmp_path / "one.png", "--posed", pose)
+        succeed(files, *argv, tmp_path / "one.png", "--posed", pose)
         one, many = (read_image(tmp_path / name) for name in ("one.png", f"poses/pose_000{number}.png"))
         assert np.abs(one - many).mean() < 0.004
     assert len(list((tmp_path / "poses").iterdir())) == 3
@@ -339,7 +339,7 @@ def test_several_poses_make_a_picture_each(files, tmp_path, capsys):
         ("poses", ["rest"], "exists already"),
         ("new", ["rest", "--masks", tmp_path / "m.png"], "--masks is for one picture"),
     ):
-        assert run(files, *words, tmp_path / out, "--posed", *more) == 2
+        assert run(files, *argv, tmp_path / out, "--posed", *more) == 2
         assert message in capsys.readouterr().err and not (tmp_path / "new").exists()
 
 
@@ -362,9 +362,9 @@ JARGON = ("rest cage", "the map ", "canonical", "det J", "face terms", "residual
 
 def test_what_commands_say_of_a_pose_is_plain(files, tmp_path, capsys):
     """A pose pulled far and turned inside out: warnings and the report say what happens and what to do."""
-    words = ["render", "@ball.npz", *SMALL, "--cage", "@cage.obj", "-o", tmp_path / "a.png", "--masks"]
+    argv = ["render", "@ball.npz", *SMALL, "--cage", "@cage.obj", "-o", tmp_path / "a.png", "--masks"]
     for pose in ("stretch:3", "twist:300", "scale:0.3"):
-        succeed(files, *words, tmp_path / "m.png", "--posed", pose)
+        succeed(files, *argv, tmp_path / "m.png", "--posed", pose)
         said = capsys.readouterr().err
         assert not any(word in said for word in JARGON), said
     turned = Cage.load(files / "cage.obj")
@@ -372,7 +372,7 @@ def test_what_commands_say_of_a_pose_is_plain(files, tmp_path, capsys):
     top = vertices[:, 2] > 0.5
     vertices[top, 2] -= 2.0  # the lid below the floor
     turned.with_vertices(vertices).save(tmp_path / "through.obj")
-    assert run(files, *words, tmp_path / "m.png", "--posed", tmp_path / "through.obj") in (0, 2)
+    assert run(files, *argv, tmp_path / "m.png", "--posed", tmp_path / "through.obj") in (0, 2)
     run(files, "check", "@cage.obj", "--object", "@ball.npz", "--posed", tmp_path / "through.obj")
     said = capsys.readouterr().out
     assert "pose: turned inside out" in said and "pose: has nothing to show" in said and "memory of a pose" in said
@@ -419,9 +419,9 @@ def test_render_of_several_objects(files, objects, tmp_path, capsys):
 def test_film_of_objects_that_move_by_keys_of_their_places(files, objects, tmp_path):
     keys = [{"time": 0, **PLACE, "easing": "linear"}, {"time": 1, "position": [-0.6, 0.2, 0.1], "scale": 0.5}]
     (tmp_path / "around.json").write_text(json.dumps({"keys": keys}))
-    words = ["@ball.npz", *SMALL, "--add", f"@ball.npz:{tmp_path}/around.json", "--eye", 0, -4, 0, "--target", 0, 0, 0]
+    argv = ["@ball.npz", *SMALL, "--add", f"@ball.npz:{tmp_path}/around.json", "--eye", 0, -4, 0, "--target", 0, 0, 0]
     folder = tmp_path / "frames"
-    succeed(files, "animate", *words, "--turn", 0, "--fps", 4, "--background", "black", "-o", folder)
+    succeed(files, "animate", *argv, "--turn", 0, "--fps", 4, "--background", "black", "-o", folder)
     assert len(list(folder.glob("*.png"))) == 5  # as long as the keys
     field = VoxelField.load(files / "ball.npz")
     camera = Camera.look_at((0, -4, 0), (0, 0, 0), width=40, height=40)
@@ -431,7 +431,7 @@ def test_film_of_objects_that_move_by_keys_of_their_places(files, objects, tmp_p
         expected = stage.render(camera, background="black").rgb
         np.testing.assert_allclose(read_image(folder / f"frame_{index:04d}.png"), expected, atol=0.01)
     (tmp_path / "around.json").write_text(json.dumps({"keys": keys[::-1][:1] + keys[:1]}))
-    assert run(files, "animate", *words, "--turn", 0, "--fps", 4, "--background", "black", "-o", folder) == 2
+    assert run(files, "animate", *argv, "--turn", 0, "--fps", 4, "--background", "black", "-o", folder) == 2
     posed = ["animate", "@ball.npz", *objects, "--frames", 3, "--turn", 0, "-o", tmp_path / "posed"]
     succeed(files, *posed)  # poses without times keep to the number of frames
     assert len(list((tmp_path / "posed").glob("*.png"))) == 3
@@ -445,14 +445,14 @@ def test_a_mesh_beside_a_field_posed_and_in_a_film(files, tmp_path, capsys):
     (tmp_path / "place.json").write_text(json.dumps(PLACE))
     succeed(files, "edits", "-o", tmp_path / "it.edits.json", "--edit", f"{files}/cage.obj:{files}/posed.obj")
     view = ["--camera", "@scene:test:1", "--background", "black", "--size", 40, 40]
-    words = ["--add", f"{tmp_path}/cube.glb:{tmp_path}/place.json", "--coordinates", "mean_value"]
-    posed = ["--add", f"{tmp_path}/cube.glb:{tmp_path}/place.json:{tmp_path}/it.edits.json", *words[2:]]
+    argv = ["--add", f"{tmp_path}/cube.glb:{tmp_path}/place.json", "--coordinates", "mean_value"]
+    posed = ["--add", f"{tmp_path}/cube.glb:{tmp_path}/place.json:{tmp_path}/it.edits.json", *argv[2:]]
     camera = load_scene(files / "scene", split="test").cameras[1].resized(40, 40)
     field, cage = VoxelField.load(files / "ball.npz"), Cage.load(files / "cage.obj")
     mesh = SurfaceMesh(cube.vertices, cube.faces, colors=colors)
     moved = Deformer(mesh, cage, coordinates="mean_value").pose(cage.match(Cage.load(files / "posed.obj")))
     pictures = []
-    for name, given, scene_object in (("plain", words, mesh), ("posed", posed, moved)):
+    for name, given, scene_object in (("plain", argv, mesh), ("posed", posed, moved)):
         scene = tmp_path / f"{name}.stage.json"
         succeed(files, "render", "@ball.npz", *given, *view, "-o", tmp_path / f"{name}.png", "--save-stage", scene)
         stage = Stage().add("ball", field).add("cube", scene_object, place=Place(**PLACE))
@@ -487,7 +487,7 @@ def test_bake_of_a_stage_file(files, objects, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("argv", "message"),
     [
         (["render", "@ball.npz", "--add", "@ball.npz:@text.txt"], "text.txt: not a place file"),
         (["render", "@ball.npz", "--add", "@none.npz"], "none.npz' is not there"),
@@ -498,10 +498,10 @@ def test_bake_of_a_stage_file(files, objects, tmp_path):
         (["animate", "@ball.npz", "--add", "@ball.npz", "--workers", "2"], "--workers and --jobs render one field"),
         (["bake", "@none.stage.json", *DEFORMED], "--cage does not go with a scene file"),
     ],
-    ids=["place", "field", "words", "ending", "stage", "cages", "workers", "bake"],
+    ids=["place", "field", "argv", "ending", "stage", "cages", "workers", "bake"],
 )
-def test_what_several_objects_do_not_go_with(words, message, files, tmp_path, capsys):
-    output = tmp_path / {"bake": "out.npz", "animate": "out.mp4"}.get(words[0], "out.png")
-    assert run(files, *words, "-o", output) == 2
+def test_what_several_objects_do_not_go_with(argv, message, files, tmp_path, capsys):
+    output = tmp_path / {"bake": "out.npz", "animate": "out.mp4"}.get(argv[0], "out.png")
+    assert run(files, *argv, "-o", output) == 2
     said = capsys.readouterr().err
     assert message in said and len(said.splitlines()) == 1 and not output.exists()

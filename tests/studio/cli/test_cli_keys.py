@@ -24,11 +24,11 @@ def frames_of(folder):
 
 def test_keys_written_one_by_one_make_a_film_whose_holds_hold(files, tmp_path, capsys):
     poses = tmp_path / "poses.json"
-    words = ["pose", "@cage.obj", "-o", poses, "--key"]
-    succeed(files, *words, "start", "--at", 0, "--fps", 8)
-    succeed(files, *words, "up", "--at", 0.5, "--translate", 0, 0, 0.5)
-    succeed(files, *words, "still up", "--at", 1, "--posed", f"{poses}:up", "--easing", "linear")
-    succeed(files, *words, "end", "--at", 1.5, "--scale", 0.5, "--loop", "once")
+    argv = ["pose", "@cage.obj", "-o", poses, "--key"]
+    succeed(files, *argv, "start", "--at", 0, "--fps", 8)
+    succeed(files, *argv, "up", "--at", 0.5, "--translate", 0, 0, 0.5)
+    succeed(files, *argv, "still up", "--at", 1, "--posed", f"{poses}:up", "--easing", "linear")
+    succeed(files, *argv, "end", "--at", 1.5, "--scale", 0.5, "--loop", "once")
     said = capsys.readouterr().out
     assert (
         "4 keys over 1.5 s, 8 frames a second, once: start at 0 s, up at 0.5 s, still up at 1 s, end at 1.5 s" in said
@@ -52,26 +52,26 @@ def test_the_camera_of_keyed_poses_turns_where_that_is_asked(files, tmp_path, ca
         succeed(files, "pose", "@cage.obj", "-o", poses, "--key", name, "--at", at, "--bend", 30 * at)
     film = ["animate", "@ball.npz", *FILM[: FILM.index("--turn")], "--fps", 2, "--posed", poses, "--quiet"]
     shown = {}
-    for name, words in {"plain": [], "still": ["--turn", 0], "turned": ["--turn", 360]}.items():
+    for name, argv in {"plain": [], "still": ["--turn", 0], "turned": ["--turn", 360]}.items():
         capsys.readouterr()
-        succeed(files, *film, *words, "-o", tmp_path / name)
+        succeed(files, *film, *argv, "-o", tmp_path / name)
         shown[name] = np.stack(frames_of(tmp_path / name)), "the camera stays" in capsys.readouterr().err
     np.testing.assert_array_equal(shown["plain"][0], shown["still"][0])
     assert np.abs(shown["plain"][0] - shown["turned"][0]).max() > 0.1
-    assert [told for _, told in shown.values()] == [True, False, False]
+    assert [printed for _, printed in shown.values()] == [True, False, False]
 
 
 def test_a_key_is_replaced_moved_and_removed(files, tmp_path, capsys):
     poses = tmp_path / "poses.json"
-    words = ["pose", "@cage.obj", "-o", poses, "--key"]
-    succeed(files, *words, "a", "--at", 0, "--bend", 20)
-    succeed(files, *words, "b", "--at", 1)
+    argv = ["pose", "@cage.obj", "-o", poses, "--key"]
+    succeed(files, *argv, "a", "--at", 0, "--bend", 20)
+    succeed(files, *argv, "b", "--at", 1)
     before = PoseFile.load(poses)["a"].vertices
-    succeed(files, *words, "a", "--at", 2, "--easing", "hold")  # another time alone keeps the pose
+    succeed(files, *argv, "a", "--at", 2, "--easing", "hold")  # another time alone keeps the pose
     file = PoseFile.load(poses)
     assert file.timed == ("b", "a") and file.easings == {"a": "hold"}
     np.testing.assert_array_equal(file["a"].vertices, before)
-    succeed(files, *words, "b", "--remove")
+    succeed(files, *argv, "b", "--remove")
     assert PoseFile.load(poses).names == ("a",)
     capsys.readouterr()
     kept = poses.read_bytes()
@@ -82,7 +82,7 @@ def test_a_key_is_replaced_moved_and_removed(files, tmp_path, capsys):
         (["c", "--at", -1], "0 or more seconds"),
         (["c", "--at", 1, "--scale", 0.5, "--posed", "@other.obj"], "does not fit its rest cage"),
     ):
-        assert run(files, *words, *more) == 2
+        assert run(files, *argv, *more) == 2
         error = capsys.readouterr().err
         assert message in error and error.count("\n") == 1
         assert poses.read_bytes() == kept
@@ -101,11 +101,11 @@ def test_rate_length_and_loop_of_a_film_follow_from_the_keys(files, tmp_path, ca
     succeed(files, "animate", "@ball.npz", *FILM, "--posed", tmp_path / "poses.json", "-o", tmp_path / "film.mp4")
     with av.open(str(tmp_path / "film.mp4")) as container:
         assert container.streams.video[0].average_rate == 16 and len(list(container.decode(video=0))) == count
-    words = ["animate", "@ball.npz", *FILM, "--posed", tmp_path / "poses.json", "-o", tmp_path / "film.gif"]
-    succeed(files, *words, "--fps", 8, "--loop", "once")
+    argv = ["animate", "@ball.npz", *FILM, "--posed", tmp_path / "poses.json", "-o", tmp_path / "film.gif"]
+    succeed(files, *argv, "--fps", 8, "--loop", "once")
     assert len(iio.imread(tmp_path / "film.gif")) == 3
     capsys.readouterr()
-    assert run(files, *words, "--frames", 9) == 2
+    assert run(files, *argv, "--frames", 9) == 2
     assert "--frames is not for keys at times" in capsys.readouterr().err
     assert (
         run(files, "animate", "@ball.npz", *FILM, "--posed", "bend:3", "-o", tmp_path / "b.gif", "--loop", "loop") == 2
@@ -148,8 +148,8 @@ def test_motion_of_another_program_is_taken_frame_for_frame(files, tmp_path, cap
     if way == "imported":
         succeed(files, "pose", "@cage.obj", "-o", posed[0], "--posed", tmp_path / "walk" / "walk.gltf")
         assert "9 keys over 0.333333 s, 24 frames a second" in capsys.readouterr().out
-    words = ["animate", "@ball.npz", *FILM, "--posed", *posed, "-o", tmp_path / "film"]
-    succeed(files, *words, *(["--fps", 12] if way in ("pattern", "folder", "names") else []))
+    argv = ["animate", "@ball.npz", *FILM, "--posed", *posed, "-o", tmp_path / "film"]
+    succeed(files, *argv, *(["--fps", 12] if way in ("pattern", "folder", "names") else []))
     assert ("one cage a frame" in capsys.readouterr().err) == (way == "names")
     frames = frames_of(tmp_path / "film")
     # glTF is read at 24 frames a second, which its keys lie on; the others have a frame for each file
@@ -164,8 +164,8 @@ def test_motion_of_another_program_is_taken_frame_for_frame(files, tmp_path, cap
 def test_going_from_rest_through_a_sequence_is_asked_for(files, tmp_path):
     rest = Cage.load(files / "cage.obj")
     write_walk(tmp_path, rest)
-    words = ["animate", "@ball.npz", *FILM, "--posed", tmp_path / "walk_####.obj", "-o", tmp_path / "film"]
-    succeed(files, *words, "--motion", "once", "--frames", 6, "--interpolation", "linear")
+    argv = ["animate", "@ball.npz", *FILM, "--posed", tmp_path / "walk_####.obj", "-o", tmp_path / "film"]
+    succeed(files, *argv, "--motion", "once", "--frames", 6, "--interpolation", "linear")
     frames = frames_of(tmp_path / "film")
     assert len(frames) == 6
     np.testing.assert_array_equal(frames[0], frames[1])  # rest, and the first pose, which is at rest
@@ -179,13 +179,13 @@ def test_a_still_of_a_file_that_moves(files, tmp_path, capsys):
     made.primitive["targets"] = [{"POSITION": made.add(y_up * [0, 0.5, 0])}, {"POSITION": made.add(0.0 * y_up + 0.2)}]
     made.save(tmp_path / "on.gltf", extras={"targetNames": ["tall", "aside"]}, weights=[1.0, 0.0])
     made.save(tmp_path / "off.gltf", extras={"targetNames": ["tall", "aside"]})
-    words = ["render", "@ball.npz", "--cage", "@cage.obj", *LOOK, "-o"]
+    argv = ["render", "@ball.npz", "--cage", "@cage.obj", *LOOK, "-o"]
     for pose, name in (("on.gltf", "on"), ("off.gltf:tall", "named")):
-        succeed(files, *words, tmp_path / f"{name}.png", "--posed", tmp_path / pose)
+        succeed(files, *argv, tmp_path / f"{name}.png", "--posed", tmp_path / pose)
     made = Cage(rest.vertices * [1, 1, 1.5], rest.faces)
     made.save(tmp_path / "tall.obj")
     made.save(tmp_path / "still.glb")
-    succeed(files, *words, tmp_path / "tall.png", "--posed", tmp_path / "tall.obj")
+    succeed(files, *argv, tmp_path / "tall.png", "--posed", tmp_path / "tall.obj")
     for name in ("on", "named"):
         assert np.abs(read_image(tmp_path / f"{name}.png") - read_image(tmp_path / "tall.png")).max() < 3 / 255
     capsys.readouterr()
@@ -195,18 +195,18 @@ def test_a_still_of_a_file_that_moves(files, tmp_path, capsys):
         ("off.gltf:wide", "no animation or shape key 'wide', only tall, aside"),
         ("still.glb:wide", "no animation or shape key 'wide', and nothing else that moves"),
     ):
-        assert run(files, *words, tmp_path / "x.png", "--posed", tmp_path / pose) == 2
+        assert run(files, *argv, tmp_path / "x.png", "--posed", tmp_path / pose) == 2
         assert message in capsys.readouterr().err
 
 
 def test_cameras_are_keyed_beside_poses(files, tmp_path, capsys):
-    poses, words = tmp_path / "poses.json", ["pose", "@cage.obj", "-o", tmp_path / "poses.json", "--key"]
+    poses, argv = tmp_path / "poses.json", ["pose", "@cage.obj", "-o", tmp_path / "poses.json", "--key"]
     for name, eye in (("front", (0, -3, 0)), ("side", (3, 0, 0))):
         succeed(files, "render", "@ball.npz", "-o", tmp_path / f"{name}.png", "--eye", *eye, "--target", 0, 0, 0,
                 "--size", 24, "--save-camera", tmp_path / f"{name}.json")  # fmt: skip
-    succeed(files, *words, "a", "--at", 0, "--fps", 4)
-    succeed(files, *words, "front", "--at", 0, "--camera", tmp_path / "front.json", "--easing", "linear")
-    succeed(files, *words, "side", "--at", 1, "--camera", tmp_path / "side.json", "--translate", 0, 0, 0.5)
+    succeed(files, *argv, "a", "--at", 0, "--fps", 4)
+    succeed(files, *argv, "front", "--at", 0, "--camera", tmp_path / "front.json", "--easing", "linear")
+    succeed(files, *argv, "side", "--at", 1, "--camera", tmp_path / "side.json", "--translate", 0, 0, 0.5)
     said = capsys.readouterr().out
     assert "4 keys over 1 s, 4 frames a second: a at 0 s, side at 1 s, cameras front at 0 s, side at 1 s" in said
     file = PoseFile.load(poses)
@@ -231,7 +231,7 @@ def test_cameras_are_keyed_beside_poses(files, tmp_path, capsys):
     succeed(files, *film, tmp_path / "turned", "--view", "front", "--turn", 0, "--size", 24)  # options come first
     assert np.abs(frames_of(tmp_path / "turned")[4] - frames[4]).max() > 0.1
 
-    succeed(files, *words, "side", "--remove")
+    succeed(files, *argv, "side", "--remove")
     file = PoseFile.load(poses)
     assert file.names == ("a",) and [key.name for key in file.cameras] == ["front"]
     capsys.readouterr()
@@ -239,7 +239,7 @@ def test_cameras_are_keyed_beside_poses(files, tmp_path, capsys):
         (["x", "--camera", tmp_path / "side.json"], "needs --at SECONDS"),
         (["x", "--at", 0, "--camera", tmp_path / "side.json"], "camera 'front' of the file is at 0 s too"),
     ):
-        assert run(files, *words, *more) == 2
+        assert run(files, *argv, *more) == 2
         assert message in capsys.readouterr().err
 
 
@@ -248,24 +248,24 @@ def test_a_film_of_cameras_alone_shows_the_scene_at_rest(files, tmp_path):
     for name, split in (("one", "0"), ("two", "1")):
         key = ["--key", name, "--at", split, "--camera", f"@scene:test:{split}", "--fps", 2]
         succeed(files, "pose", "@cage.obj", "-o", poses, *key)
-    words = ["animate", "@ball.npz", "--cage", "@cage.obj", "--posed", poses, "--quiet", "-o", tmp_path / "film"]
-    succeed(files, *words, *LOOK[-4:])
+    argv = ["animate", "@ball.npz", "--cage", "@cage.obj", "--posed", poses, "--quiet", "-o", tmp_path / "film"]
+    succeed(files, *argv, *LOOK[-4:])
     frames = frames_of(tmp_path / "film")
     succeed(files, "render", "@ball.npz", "--camera", "@scene:test:1", "-o", tmp_path / "two.png")
     assert len(frames) == 3
     assert np.abs(frames[2] - read_image(tmp_path / "two.png")).mean() < 0.004
 
 
-def test_two_keys_at_one_time_are_refused_or_told(files, tmp_path, capsys):
+def test_two_keys_at_one_time_are_refused_or_reported(files, tmp_path, capsys):
     """`pose` refuses them; a file that holds them is played, with a line about the jump."""
     poses = tmp_path / "poses.json"
-    words = ["pose", "@cage.obj", "-o", poses, "--key"]
-    succeed(files, *words, "a", "--at", 0)
+    argv = ["pose", "@cage.obj", "-o", poses, "--key"]
+    succeed(files, *argv, "a", "--at", 0)
     assert "wrote" in (said := capsys.readouterr().out) and "1 key over 0 s" in said
-    succeed(files, *words, "b", "--at", 0.5, "--translate", 0, 0, 0.3)
-    assert run(files, *words, "c", "--at", 0.5, "--bend", 20) == 2
+    succeed(files, *argv, "b", "--at", 0.5, "--translate", 0, 0, 0.3)
+    assert run(files, *argv, "c", "--at", 0.5, "--bend", 20) == 2
     assert "key 'b' of the file is at 0.5 s too: give another time" in capsys.readouterr().err
-    succeed(files, *words, "b", "--at", 0.5, "--translate", 0, 0, 0.4)  # itself again
+    succeed(files, *argv, "b", "--at", 0.5, "--translate", 0, 0, 0.4)  # itself again
     file = PoseFile.load(poses)
     file["c"], file.times["c"] = file.rest.bend(20), 0.5
     file.save(poses)
@@ -299,8 +299,8 @@ def test_a_film_by_a_curve_is_that_of_the_straight_way_at_other_times(files, tmp
     for frame, share in zip(found, (0.0, 0.25, 0.5, 0.75, 1.0), strict=True):
         one = tmp_path / "one.obj"
         file.rest.translate([0, 0, 0.6 * eased_share(curve, share)]).save(one)
-        words = ["--cage", "@cage.obj", *LOOK, "--posed", one, "-o", tmp_path / "one.png"]
-        succeed(files, "render", "@ball.npz", *words)
+        argv = ["--cage", "@cage.obj", *LOOK, "--posed", one, "-o", tmp_path / "one.png"]
+        succeed(files, "render", "@ball.npz", *argv)
         np.testing.assert_allclose(frame, read_image(tmp_path / "one.png"), atol=2 / 255)
     assert np.abs(found[2] - found[0]).mean() < 0.2 * np.abs(found[4] - found[0]).mean()  # the curve's late start
 

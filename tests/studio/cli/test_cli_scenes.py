@@ -26,8 +26,8 @@ def files(tmp_path_factory):
     return folder
 
 
-def info(capsys, *words):
-    assert main(["info", *map(str, words)]) == 0
+def info(capsys, *argv):
+    assert main(["info", *map(str, argv)]) == 0
     return {line.split("  ")[0]: line.split("  ", 1)[1].strip() for line in capsys.readouterr().out.splitlines()}
 
 
@@ -79,12 +79,12 @@ def test_contact_sheet(files, capsys, tmp_path):
     assert sheet.shape == (3 * 20 + 2 * 4, 3 * 24 + 2 * 4, 3)
     np.testing.assert_allclose(sheet[:20, :24], images[0], atol=0.003)
     np.testing.assert_allclose(sheet[24:44, 28:52], images[4], atol=0.003)
-    for words in (["ball.npz"], []):
+    for argv in (["ball.npz"], []):
         for option, message in (
             ("--sheet", "shows the pictures of a scene folder"),
             ("--box", "shows where the object"),
         ):
-            assert main(["info", *[str(files / word) for word in words], option, str(tmp_path / "other.png")]) == 2
+            assert main(["info", *[str(files / word) for word in argv], option, str(tmp_path / "other.png")]) == 2
             assert f"{option} {message}" in capsys.readouterr().err
     assert not (tmp_path / "other.png").exists()
 
@@ -100,9 +100,9 @@ def test_info_says_where_the_object_is(files, capsys, tmp_path):
 
 
 def test_masks_can_be_left_alone(files, tmp_path, capsys):
-    words = ["--resolution", "16", "--epochs", "0.5", "--quiet"]
+    argv = ["--resolution", "16", "--epochs", "0.5", "--quiet"]
     for name, more in (("cut", []), ("whole", ["--no-masks", "--background", "black"])):
-        assert main(["fit", str(files / "dtu"), "-o", str(tmp_path / f"{name}.npz"), *words, *more]) == 0
+        assert main(["fit", str(files / "dtu"), "-o", str(tmp_path / f"{name}.npz"), *argv, *more]) == 0
     cut, whole = (VoxelField.load(tmp_path / f"{name}.npz") for name in ("cut", "whole"))
     np.testing.assert_allclose(whole.bounds, [[-1] * 3, [1] * 3])  # the unit sphere, nothing says more
     assert np.abs(cut.bounds - whole.bounds).max() > 0.01  # the silhouettes
@@ -113,8 +113,8 @@ def test_masks_can_be_left_alone(files, tmp_path, capsys):
     assert scores[0] != scores[1]
 
 
-def render(files, *words):
-    return main(["render", str(files / "ball.npz"), *map(str, words)])
+def render(files, *argv):
+    return main(["render", str(files / "ball.npz"), *map(str, argv)])
 
 
 def test_cameras_are_interpolated(files, tmp_path, capsys):
@@ -131,18 +131,18 @@ def test_cameras_are_interpolated(files, tmp_path, capsys):
 
 
 def test_film_of_a_pose_through_the_cameras(files, tmp_path):
-    words = (
+    argv = (
         f"--cage {files}/cage.ply --posed {files}/cage.ply --coordinates mean_value --resolution 16 --overlay".split()
     )
     film = tmp_path / "way.gif"
-    assert render(files, "-o", film, "--cameras", "interpolate", "--scene", f"{files / 'colmap'}:test", *words) == 0
+    assert render(files, "-o", film, "--cameras", "interpolate", "--scene", f"{files / 'colmap'}:test", *argv) == 0
     import imageio.v3 as iio
 
     assert iio.imread(film).shape[:3] == (9, 20, 24)
 
 
 @pytest.mark.parametrize(
-    "words, expected",
+    "argv, expected",
     [
         (["-o", "new", "--cameras", "interpolate"], "--cameras needs --scene"),
         (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--camera", "@dtu:0"], "combined with --camera"),
@@ -155,8 +155,8 @@ def test_film_of_a_pose_through_the_cameras(files, tmp_path):
         (["-o", "new.png", "--scene", "@dtu"], "belong to --cameras"),
     ],
 )
-def test_wrong_cameras(files, tmp_path, monkeypatch, capsys, words, expected):
+def test_wrong_cameras(files, tmp_path, monkeypatch, capsys, argv, expected):
     monkeypatch.chdir(tmp_path)
-    assert render(files, *[word.replace("@", f"{files}/") for word in words]) == 2
+    assert render(files, *[word.replace("@", f"{files}/") for word in argv]) == 2
     assert expected in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

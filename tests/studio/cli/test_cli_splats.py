@@ -80,7 +80,7 @@ def test_a_shorter_sequence_says_what_is_left_of_a_longer_one(folder, capsys):
     before = (folder / "walk_04.ply").read_bytes()
     assert main([*order, "-o", "walk_##.ply", "--frames", "2"]) == 0
     text = said(capsys)
-    assert "beside the 2 files of this sequence lie 2 of another one" in text
+    assert "beside the 2 files of this sequence are 2 of another one" in text
     assert "walk_03.ply, walk_04.ply" in text and "walk_1" not in text and "walk_2b" not in text
     assert (folder / "walk_04.ply").read_bytes() == before
     assert main([*order, "-o", "walk_##.ply", "--frames", "3", "--cage", "none.obj", "--overwrite"]) == 2
@@ -158,7 +158,7 @@ def test_pictures_and_films(folder, capsys):
 
 
 @pytest.mark.parametrize(
-    "order, words",
+    "order, argv",
     [
         (["mesh", "scene.ply", "-o", "mesh.obj"], "mesh is for fields of voxels"),
         (
@@ -183,7 +183,7 @@ def test_pictures_and_films(folder, capsys):
         (["render", "scene.npz", "-o", "a.png", "--map", "forward"], "--map forward is for files of splats"),
         (["sweep", "scene.npz", "-o", "a.jsonl", "--cage", "cage.obj", "--map", "forward"], "--map forward is for fi"),
         (["sweep", "scene.npz", "-o", "a.jsonl", "--cage", "cage.obj", "--antialias"], "--antialias is for files of"),
-        (["cage", "scene.ply", "-o", "a.ply", "--vertices", "2"], "--vertices must be a whole number, 8 to 2000"),
+        (["cage", "scene.ply", "-o", "a.ply", "--vertices", "2"], "--vertices must be a whole number from 8 to 2000"),
         (["cage", "scene.ply", "-o", "a.ply", "--in-box", "7", "7", "7", "8", "8", "8"], "visible cells are outside"),
         (
             [*"bake scene.ply -o a.ply --cage around.obj --posed twist:9 --falloff 0.1".split()],
@@ -201,7 +201,7 @@ def test_pictures_and_films(folder, capsys):
         (["render", ".", "-o", "a.png"], "field file '.' is a folder"),
     ],
 )
-def test_what_does_not_fit_is_said_in_one_line(order, words, folder, capsys):
+def test_what_does_not_fit_is_said_in_one_line(order, argv, folder, capsys):
     (folder / "cut.splat").write_bytes(bytes(33))
     (folder / "scene.npz").write_bytes(b"")
     warpcage.Cage.box((-9, -9, -9), (9, 9, 9)).save("around.obj")
@@ -209,7 +209,7 @@ def test_what_does_not_fit_is_said_in_one_line(order, words, folder, capsys):
     warpcage.SplatField.load("scene.ply", device="cpu").save("scene.compressed.ply")
     assert main(order) == 2
     text = said(capsys)
-    assert words in text and text.count("\n") == 1
+    assert argv in text and text.count("\n") == 1
     assert not (folder / "a.ply").exists()
 
 

@@ -13,10 +13,10 @@ from warpcage.view.camera_path import RefinedCameras
 LENS = {"fov_degrees": 50, "width": 40, "height": 40}
 
 
-def cameras_of(files, tmp_path, *words):
+def cameras_of(files, tmp_path, *argv):
     """The camera that a command takes."""
     path = tmp_path / "camera.json"
-    succeed(files, *words, "--save-camera", path)
+    succeed(files, *argv, "--save-camera", path)
     return CameraFile.load(path)
 
 
@@ -28,11 +28,11 @@ def test_the_object_stays_where_it_is_whatever_the_pose(files, tmp_path, capsys)
     plain = ["render", "@ball.npz", "-o", tmp_path / "x.png", *SMALL]
     at_rest = cameras_of(files, tmp_path, *plain)[0].camera
     moved = ["--cage", "@cage.obj", "--posed", "translate:0:0:1.5"]
-    for words in (DEFORMED, moved):
+    for argv in (DEFORMED, moved):
         capsys.readouterr()
-        assert is_same(cameras_of(files, tmp_path, *plain, *words)[0].camera, at_rest)
+        assert is_same(cameras_of(files, tmp_path, *plain, *argv)[0].camera, at_rest)
         said = capsys.readouterr().err
-        assert ("reaches out of the picture" in said) == (words is moved)
+        assert ("reaches out of the picture" in said) == (argv is moved)
     film = ["animate", "@ball.npz", "-o", tmp_path / "x.gif", *SMALL, "--frames", 3, "--quiet", *moved]
     assert is_same(cameras_of(files, tmp_path, *film)[0].camera, at_rest)
     capsys.readouterr()
@@ -45,10 +45,10 @@ def test_the_object_stays_where_it_is_whatever_the_pose(files, tmp_path, capsys)
 
 def test_posed_pictures_hold_what_no_cage_holds(files, tmp_path):
     """A cage around the upper half, which goes up: the lower half of the ball stays in the picture."""
-    words = ["render", "@ball.npz", "-o", tmp_path / "x.png", *SMALL, "--view", "front", "--frame", "posed"]
+    argv = ["render", "@ball.npz", "-o", tmp_path / "x.png", *SMALL, "--view", "front", "--frame", "posed"]
     Cage.box((-0.6, -0.6, 0.05), (0.6, 0.6, 0.6)).save(tmp_path / "half.obj")
     part = ["--edit", f"{tmp_path / 'half.obj'}:translate:0:0:0.8"]
-    seen = cameras_of(files, tmp_path, *words, *part)[0].camera
+    seen = cameras_of(files, tmp_path, *argv, *part)[0].camera
     pixels, _ = seen.project([[0.0, -0.3, -0.5], [0.0, 0.0, 1.4], [0.0, 0.0, -0.54]])
     assert ((pixels > 0) & (pixels < 40)).all()
     picture = read_image(tmp_path / "x.png")
@@ -67,20 +67,20 @@ def test_posed_pictures_hold_what_no_cage_holds(files, tmp_path):
     ],
 )
 def test_sides(files, tmp_path, view, ahead, up):
-    words = ["render", "@ball.npz", "-o", tmp_path / "x.png", *SMALL, "--view", view]
-    rotation = cameras_of(files, tmp_path, *words)[0].camera.rotation
+    argv = ["render", "@ball.npz", "-o", tmp_path / "x.png", *SMALL, "--view", view]
+    rotation = cameras_of(files, tmp_path, *argv)[0].camera.rotation
     np.testing.assert_allclose(rotation[:, 2], ahead, atol=1e-3)
     np.testing.assert_allclose(-rotation[:, 1], up, atol=1e-3)
 
 
 def test_a_saved_camera_gives_the_same_picture(files, tmp_path):
-    words = ["render", "@ball.npz", "-o", tmp_path / "one.png", *SMALL, *DEFORMED]
-    succeed(files, *words, "--view", "left", "--save-camera", tmp_path / "left.json")
-    words[3] = tmp_path / "two.png"
-    succeed(files, *words[:4], *SMALL[2:], *DEFORMED, "--camera", tmp_path / "left.json")
+    argv = ["render", "@ball.npz", "-o", tmp_path / "one.png", *SMALL, *DEFORMED]
+    succeed(files, *argv, "--view", "left", "--save-camera", tmp_path / "left.json")
+    argv[3] = tmp_path / "two.png"
+    succeed(files, *argv[:4], *SMALL[2:], *DEFORMED, "--camera", tmp_path / "left.json")
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
     camera = Camera.load(tmp_path / "left.json")
-    succeed(files, *words, "--camera", tmp_path / "left.json", "--save-camera", tmp_path / "again.json")
+    succeed(files, *argv, "--camera", tmp_path / "left.json", "--save-camera", tmp_path / "again.json")
     assert (tmp_path / "left.json").read_text() == (tmp_path / "again.json").read_text()
     assert camera.width == 40
 
@@ -121,7 +121,7 @@ def test_another_shape_is_cut_from_the_picture_or_widens_it(files, tmp_path, cap
 
     square, fine = picture(40), picture(80)
     capsys.readouterr()
-    for words, expected in {
+    for argv, expected in {
         ("40x20",): square[10:30],
         ("40", "20"): square[10:30],
         ("2:1",): square[10:30],
@@ -131,19 +131,19 @@ def test_another_shape_is_cut_from_the_picture_or_widens_it(files, tmp_path, cap
         ("1:1",): square,
         ("80", "5:4"): fine[8:72],
     }.items():
-        found = picture(*words)
-        assert found.shape == expected.shape and np.abs(found - expected).max() <= 2, words
+        found = picture(*argv)
+        assert found.shape == expected.shape and np.abs(found - expected).max() <= 2, argv
         said = capsys.readouterr().err
-        assert ("cuts the camera's 40x40 picture" in said) == (words != ("1:1",)) and said.count("\n") <= 1
-    for words, middle in ((("80x40", "widen"), np.s_[:, 20:60]), (("1:2", "widen"), np.s_[20:60])):
-        wide = picture(*words)
+        assert ("cuts the camera's 40x40 picture" in said) == (argv != ("1:1",)) and said.count("\n") <= 1
+    for argv, middle in ((("80x40", "widen"), np.s_[:, 20:60]), (("1:2", "widen"), np.s_[20:60])):
+        wide = picture(*argv)
         assert max(wide.shape) == 80 and np.abs(wide[middle] - square).max() <= 2
         assert "cuts" not in capsys.readouterr().err
     assert (square[:, 0] < 250).any()  # the square picture cuts the ball, so that a wider one shows more of it
 
 
 @pytest.mark.parametrize(
-    "words, said",
+    "argv, said",
     [
         (["--camera", "@two.json"], "two.json: it holds 2 cameras: name one of 0, 1"),
         (["--camera", "@two.json:9"], "it holds no camera '9', only 0, 1"),
@@ -158,10 +158,10 @@ def test_another_shape_is_cut_from_the_picture_or_widens_it(files, tmp_path, cap
         (["--cameras", "given", "--scene", "@two.json", "--view", "top"], "cannot be combined with --view"),
     ],
 )
-def test_wrong_views(files, tmp_path, capsys, words, said):
+def test_wrong_views(files, tmp_path, capsys, argv, said):
     CameraFile(turntable((0, 0, 0), 3.0, 10, 2, **LENS)).save(files / "two.json")
-    output = "views" if "--cameras" in words else "x.png"
-    assert run(files, "render", "@ball.npz", "-o", tmp_path / output, *SMALL, *words) == 2
+    output = "views" if "--cameras" in argv else "x.png"
+    assert run(files, "render", "@ball.npz", "-o", tmp_path / output, *SMALL, *argv) == 2
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1 and list(tmp_path.iterdir()) == []
 
@@ -176,8 +176,8 @@ def test_cameras_and_poses_with_times_go_together(files, tmp_path):
     keys = [CameraKey(camera, time, easing="linear") for camera, time in zip(ring[:2], (0.0, 2.0), strict=True)]
     CameraFile(keys).save(tmp_path / "path.json")
     film = ["animate", "@ball.npz", "-o", tmp_path / "film", *SMALL, "--quiet", "--cage", "@cage.obj"]
-    words = ["--posed", tmp_path / "poses.json", "--cameras", tmp_path / "path.json"]
-    found = cameras_of(files, tmp_path, *film, *words)
+    argv = ["--posed", tmp_path / "poses.json", "--cameras", tmp_path / "path.json"]
+    found = cameras_of(files, tmp_path, *film, *argv)
     assert len(found) == 5
     for key in found:
         assert is_same(key.camera, camera_at(keys, key.time))
@@ -197,7 +197,7 @@ def test_cameras_and_poses_with_times_go_together(files, tmp_path):
         (b'{"format": "warpcage cameras", "version": 1, "cameras": [7]}', "of another kind than it should be"),
     ],
 )
-def test_damaged_camera_files_are_told_in_plain_words(files, tmp_path, capsys, data, said):
+def test_damaged_camera_files_are_reported_plainly(files, tmp_path, capsys, data, said):
     (tmp_path / "bad.json").write_bytes(data)
     assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", "--camera", tmp_path / "bad.json") == 2
     error = capsys.readouterr().err
@@ -209,9 +209,9 @@ def test_info_of_cameras_and_of_foreign_json(files, tmp_path, capsys):
     keys = turntable((0, 0, 0), 3.0, 10, 2, **LENS)
     CameraFile([CameraKey(keys[0], 0.0, name="near"), CameraKey(keys[1], 1.5)]).save(tmp_path / "two.json")
     succeed(files, "info", tmp_path / "two.json")
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     said = ("cameras", f"{LENS['width']}x{LENS['height']} from ", "'near'", "at 0 s", "at 1.5 s")
-    assert all(word in told for word in said)
+    assert all(word in printed for word in said)
     (tmp_path / "other.json").write_text('{"figures": 3}')
     assert run(files, "info", tmp_path / "other.json") == 2
     error = capsys.readouterr().err
@@ -253,12 +253,12 @@ def angles_of(keys):
     return np.degrees(np.arctan2(places[:, 1], places[:, 0])) % 360, np.hypot(places[:, 0], places[:, 1])
 
 
-@pytest.mark.parametrize("words", [("@ball.npz", "--camera", "@walk:3"), ("@known.npz",)], ids=["scene", "field"])
-def test_films_stay_within_what_was_seen(files, seen, tmp_path, capsys, words):
-    film = ["animate", *words, "--frames", 40, "--size", 16, "--quiet", "-o", tmp_path / "film.gif"]
+@pytest.mark.parametrize("argv", [("@ball.npz", "--camera", "@walk:3"), ("@known.npz",)], ids=["scene", "field"])
+def test_films_stay_within_what_was_seen(files, seen, tmp_path, capsys, argv):
+    film = ["animate", *argv, "--frames", 40, "--size", 16, "--quiet", "-o", tmp_path / "film.gif"]
     found = cameras_of(files, tmp_path, *film)
     said = capsys.readouterr().err
-    taken = load_scene(files / "walk").cameras if "--camera" in words else SEEN  # some pictures are held out
+    taken = load_scene(files / "walk").cameras if "--camera" in argv else SEEN  # some pictures are held out
     ends = angles_of([CameraKey(camera) for camera in taken])[0]
     assert "--full-turn" in said and f"no picture shows {360 - np.ptp(ends):.0f} of 360" in said
     angles, distances = angles_of(found)
@@ -268,7 +268,7 @@ def test_films_stay_within_what_was_seen(files, seen, tmp_path, capsys, words):
     assert np.abs(steps).max() < 20.0 and abs(steps.sum()) < 1e-6  # it loops
     turns = np.flatnonzero(np.sign(steps) != np.sign(np.roll(steps, 1)))
     assert len(turns) == 2  # there and back
-    if "--camera" in words:
+    if "--camera" in argv:
         assert is_same(found[0].camera, taken[3])
         stood = np.interp(angles, ends, [np.hypot(*camera.center[:2]) for camera in taken])
         assert (distances < stood + 0.15).all()  # where pictures were taken from nearer it comes nearer
@@ -303,32 +303,32 @@ def test_all_round_stays_all_round(files, tmp_path, capsys):
 
 def test_a_film_follows_a_part(files, tmp_path):
     """A cage, an edit by its number and a cage's file: where they go is the middle of the pictures."""
-    words = ["animate", "@ball.npz", "--frames", 5, "--size", 40, "--quiet", "-o", tmp_path / "film.gif"]
-    words += ["--motion", "once", "--eye", 0, -5, 1, "--target", 0, 0, 0, "--resolution", 16]
-    words += ["--edit", "@cage.obj:translate:1:0:0.5"]
+    argv = ["animate", "@ball.npz", "--frames", 5, "--size", 40, "--quiet", "-o", tmp_path / "film.gif"]
+    argv += ["--motion", "once", "--eye", 0, -5, 1, "--target", 0, 0, 0, "--resolution", 16]
+    argv += ["--edit", "@cage.obj:translate:1:0:0.5"]
     for part in ("follow", "follow:1", "follow:@cage.obj"):
-        found = cameras_of(files, tmp_path, *words, "--cameras", part)
+        found = cameras_of(files, tmp_path, *argv, "--cameras", part)
         for place, share in zip(found, (0.0, None, 0.5, None, 1.0), strict=True):
             if share is not None:
                 np.testing.assert_allclose(place.camera.project([[share, 0, share / 2]])[0], [[20, 20]], atol=0.01)
-    assert run(files, *words, "--cameras", "follow:2") == 2
+    assert run(files, *argv, "--cameras", "follow:2") == 2
 
 
 def test_a_shutter_blurs_what_moves(files, tmp_path, capsys):
     """A frame is the mean of the light of what a film of as many more frames shows around it."""
-    words = ["animate", "@ball.npz", "--size", 40, "--quiet", "--eye", 0, -4, 1, "--target", 0, 0, 0]
-    words += ["--cage", "@cage.obj", "--posed", "translate:0.6:0:0", "--resolution", 16, "--interpolation", "linear"]
-    words += ["--turn", 0, "--motion", "once"]
-    succeed(files, *words, "-o", tmp_path / "blurred", "--frames", 3, "--shutter", "360:2")
-    succeed(files, *words, "-o", tmp_path / "sharp", "--frames", 9)
+    argv = ["animate", "@ball.npz", "--size", 40, "--quiet", "--eye", 0, -4, 1, "--target", 0, 0, 0]
+    argv += ["--cage", "@cage.obj", "--posed", "translate:0.6:0:0", "--resolution", 16, "--interpolation", "linear"]
+    argv += ["--turn", 0, "--motion", "once"]
+    succeed(files, *argv, "-o", tmp_path / "blurred", "--frames", 3, "--shutter", "360:2")
+    succeed(files, *argv, "-o", tmp_path / "sharp", "--frames", 9)
     folders = [sorted((tmp_path / name).glob("*.png")) for name in ("blurred", "sharp")]
     blurred, sharp = ([read_image(file) for file in files] for files in folders)
     light = [((image + 0.055) / 1.055) ** 2.4 for image in (sharp[3], sharp[5])]  # a quarter before and after
     expected = 1.055 * np.mean(light, axis=0) ** (1 / 2.4) - 0.055
     assert np.abs(blurred[1] - expected).max() <= 2 / 255 and np.abs(blurred[1] - sharp[4]).max() > 0.1
-    succeed(files, *words, "-o", tmp_path / "still", "--frames", 3, "--shutter", "180", "--motion", "hold")
+    succeed(files, *argv, "-o", tmp_path / "still", "--frames", 3, "--shutter", "180", "--motion", "hold")
     still = [(tmp_path / "still" / f"frame_000{index}.png").read_bytes() for index in range(3)]
-    succeed(files, *words, "-o", tmp_path / "plain", "--frames", 1, "--motion", "hold")
+    succeed(files, *argv, "-o", tmp_path / "plain", "--frames", 1, "--motion", "hold")
     assert still == [(tmp_path / "plain" / "frame_0000.png").read_bytes()] * 3  # what stands still is as without
     capsys.readouterr()
     for more in (
@@ -339,7 +339,7 @@ def test_a_shutter_blurs_what_moves(files, tmp_path, capsys):
         ["--shutter", 400],
     ):
         given = [] if "--shutter" in more else ["--shutter", 180]
-        assert run(files, *words, "-o", tmp_path / "none", *given, *more) == 2
+        assert run(files, *argv, "-o", tmp_path / "none", *given, *more) == 2
         assert "--shutter" in capsys.readouterr().err
 
 

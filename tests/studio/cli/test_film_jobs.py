@@ -61,9 +61,9 @@ FILMS = {
 
 @pytest.mark.parametrize("name", FILMS)
 def test_frames_of_a_job_file_are_those_of_animate(files, tmp_path, capsys, name):
-    words = FILMS[name]
-    assert run(files, "animate", "@ball.npz", *words, "-o", tmp_path / "frames") == 0, capsys.readouterr().err
-    succeed(files, "animate", "@ball.npz", *words, "--jobs", tmp_path / "film.jsonl")
+    argv = FILMS[name]
+    assert run(files, "animate", "@ball.npz", *argv, "-o", tmp_path / "frames") == 0, capsys.readouterr().err
+    succeed(files, "animate", "@ball.npz", *argv, "--jobs", tmp_path / "film.jsonl")
     said = capsys.readouterr().out.splitlines()[-1]
     count = frames_of(tmp_path / "film.jsonl", tmp_path / "out")
     assert said.startswith(f"wrote {tmp_path}/film.jsonl: {count} frames of ")
@@ -73,9 +73,9 @@ def test_frames_of_a_job_file_are_those_of_animate(files, tmp_path, capsys, name
 
 def test_light_and_depth_of_a_job_file_are_those_of_animate(files, tmp_path):
     exr = pytest.importorskip("warpcage.view.exr")
-    words = ["animate", "@ball.npz", *FILM, *DEFORMED, "--format", "exr", "--transparent", "--shutter", "180:2"]
-    succeed(files, *words, "-o", tmp_path / "frames")
-    succeed(files, *words, "--jobs", tmp_path / "film.jsonl")
+    argv = ["animate", "@ball.npz", *FILM, *DEFORMED, "--format", "exr", "--transparent", "--shutter", "180:2"]
+    succeed(files, *argv, "-o", tmp_path / "frames")
+    succeed(files, *argv, "--jobs", tmp_path / "film.jsonl")
     frames_of(tmp_path / "film.jsonl", tmp_path / "out")
     for path in (tmp_path / "frames").glob("*.exr"):
         one, two = exr.read_exr(path), exr.read_exr(tmp_path / "out" / path.name)
@@ -86,8 +86,8 @@ def test_light_and_depth_of_a_job_file_are_those_of_animate(files, tmp_path):
 def test_a_job_file_moves_with_what_lies_beside_it_and_writes_a_pose_once(files, tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "ball.npz").write_bytes((files / "ball.npz").read_bytes())
-    words = ["animate", tmp_path / "a" / "ball.npz", *FILM, *DEFORMED, "--motion", "hold"]
-    succeed(files, *words, "--jobs", tmp_path / "a" / "film.jsonl")
+    argv = ["animate", tmp_path / "a" / "ball.npz", *FILM, *DEFORMED, "--motion", "hold"]
+    succeed(files, *argv, "--jobs", tmp_path / "a" / "film.jsonl")
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == [
         "ball.npz",
         "film.faces.npy",
@@ -105,15 +105,15 @@ def test_a_job_file_moves_with_what_lies_beside_it_and_writes_a_pose_once(files,
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("argv", "message"),
     [
         (["--show", "depth", "--overlay"], "draw cages into colours alone: leave out --overlay, or --show depth"),
         (["--fps", 0.5, "--posed", "@text.txt"], "text.txt"),
         (["--loop", "once"], "--loop is for keys at times"),
     ],
 )
-def test_a_job_file_that_cannot_be_leaves_nothing(files, tmp_path, capsys, words, message):
-    assert run(files, "animate", "@ball.npz", *FILM, *DEFORMED, *words, "--jobs", tmp_path / "film.jsonl") == 2
+def test_a_job_file_that_cannot_be_leaves_nothing(files, tmp_path, capsys, argv, message):
+    assert run(files, "animate", "@ball.npz", *FILM, *DEFORMED, *argv, "--jobs", tmp_path / "film.jsonl") == 2
     said = capsys.readouterr().err
     assert message in said and said.splitlines()[-1].startswith("warpcage: error: ")
     assert list(tmp_path.iterdir()) == []
@@ -122,8 +122,8 @@ def test_a_job_file_that_cannot_be_leaves_nothing(files, tmp_path, capsys, words
 def test_a_pose_that_cannot_be_leaves_the_job_file_of_before(files, tmp_path, capsys, monkeypatch):
     from warpcage.studio.films import Timeline
 
-    words = ["animate", "@ball.npz", *FILM, *DEFORMED, "--jobs", tmp_path / "film.jsonl"]
-    succeed(files, *words)
+    argv = ["animate", "@ball.npz", *FILM, *DEFORMED, "--jobs", tmp_path / "film.jsonl"]
+    succeed(files, *argv)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     cages = Timeline.cages
 
@@ -133,7 +133,7 @@ def test_a_pose_that_cannot_be_leaves_the_job_file_of_before(files, tmp_path, ca
         return cages(self, index)
 
     monkeypatch.setattr(Timeline, "cages", fails)
-    assert run(files, *words, "--frames", 7) == 2
+    assert run(files, *argv, "--frames", 7) == 2
     assert "frame 3, between the poses" in capsys.readouterr().err
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 

@@ -11,7 +11,8 @@ from runs import DEFORMED, SMALL, run, succeed
 
 import warpcage.studio.jobs.films as films
 from warpcage import Deformer
-from warpcage.view import deep_pixels, read_film_frame, write_film_frame, write_png
+from warpcage.studio.films.video import deep_pixels, read_film_frame, write_film_frame
+from warpcage.view import write_png
 
 #: x264 writes the same file again only of sides that are multiples of its blocks.
 FILM = ("animate", "@ball.npz", *DEFORMED, *SMALL, "--size", 64, "--frames", 6, "--quiet", "--device", "cpu")
@@ -22,9 +23,9 @@ def rendered(monkeypatch):
     """Counts frames."""
     render, count = Deformer.render, []
 
-    def counted(self, *words, **options):
+    def counted(self, *argv, **options):
         count.append(1)
-        return render(self, *words, **options)
+        return render(self, *argv, **options)
 
     monkeypatch.setattr(Deformer, "render", counted)
     return count
@@ -35,7 +36,7 @@ def names(folder):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "argv"),
     [
         ("a.mp4", ["--overlay"]),
         ("a.gif", ["--show", "depth"]),
@@ -44,10 +45,10 @@ def names(folder):
         ("b.mp4", ["--show", "alpha"]),
     ],
 )
-def test_films_of_workers_are_those_of_one_process(files, tmp_path, capsys, name, words):
+def test_films_of_workers_are_those_of_one_process(files, tmp_path, capsys, name, argv):
     for folder, more in (("one", []), ("workers", ["--workers", 1])):
         (tmp_path / folder).mkdir()
-        succeed(files, *FILM, "-o", tmp_path / folder / name, *words, *more)
+        succeed(files, *FILM, "-o", tmp_path / folder / name, *argv, *more)
     assert names(tmp_path / "workers") == [name]
     one, two = (np.fromfile(tmp_path / folder / name, np.uint8) for folder in ("one", "workers"))
     assert one.shape == two.shape
@@ -69,16 +70,16 @@ def test_two_workers_make_the_film_of_one_process(files, tmp_path, capsys):
 def test_a_folder_goes_on_whoever_began_it(files, tmp_path, rendered, kind):
     if kind == "exr":
         pytest.importorskip("OpenEXR")
-    words = [*FILM, "--format", kind, "-o"]
-    succeed(files, *words, tmp_path / "one")
-    succeed(files, *words, tmp_path / "mixed")
+    argv = [*FILM, "--format", kind, "-o"]
+    succeed(files, *argv, tmp_path / "one")
+    succeed(files, *argv, tmp_path / "mixed")
     paths = sorted((tmp_path / "mixed").glob(f"*.{kind}"))
     stamps = {path: path.stat().st_mtime_ns for path in paths[:3]}
     paths[3].write_bytes(b"cut")
     paths[4].unlink()
     paths[5].write_bytes(bytes(paths[5].stat().st_size))
     rendered.clear()
-    succeed(files, *words, tmp_path / "mixed", "--workers", 1)
+    succeed(files, *argv, tmp_path / "mixed", "--workers", 1)
     assert len(rendered) == 3 and {path: path.stat().st_mtime_ns for path in stamps} == stamps
     assert names(tmp_path / "one") == names(tmp_path / "mixed")
     if kind == "png":
@@ -86,23 +87,23 @@ def test_a_folder_goes_on_whoever_began_it(files, tmp_path, rendered, kind):
             assert path.read_bytes() == (tmp_path / "mixed" / path.name).read_bytes()
     paths[0].unlink()
     rendered.clear()
-    succeed(files, *words, tmp_path / "mixed")  # and back
+    succeed(files, *argv, tmp_path / "mixed")  # and back
     assert len(rendered) == 1
-    assert run(files, *words, tmp_path / "mixed", "--workers", 1, "--turn", 90) == 2  # another film
-    succeed(files, *words, tmp_path / "mixed", "--workers", 1, "--turn", 90, "--overwrite")
+    assert run(files, *argv, tmp_path / "mixed", "--workers", 1, "--turn", 90) == 2  # another film
+    succeed(files, *argv, tmp_path / "mixed", "--workers", 1, "--turn", 90, "--overwrite")
 
 
 @pytest.mark.parametrize(("error", "status"), [(KeyboardInterrupt(), 130), (RuntimeError("the device is lost"), 2)])
 def test_a_film_goes_on_after_its_end(files, tmp_path, capsys, monkeypatch, rendered, error, status):
     run_jobs = films.run_jobs
 
-    def ends(*words, progress, **options):
+    def ends(*argv, progress, **options):
         def show(state):
             progress(state)
             if state.done:  # the first lot is one frame, the next may be all others
                 raise error
 
-        return run_jobs(*words, progress=show, **options)
+        return run_jobs(*argv, progress=show, **options)
 
     with monkeypatch.context() as patch:
         patch.setattr(films, "run_jobs", ends)
@@ -160,11 +161,11 @@ def test_frames_of_another_film_are_not_taken(files, tmp_path, rendered):
 def test_a_frame_that_cannot_be_made_is_named_and_the_others_are_kept(files, tmp_path, capsys, monkeypatch):
     render, count = Deformer.render, []
 
-    def fails(self, *words, **options):
+    def fails(self, *argv, **options):
         count.append(1)
         if len(count) == 4:
             raise ValueError("its camera stands in a wall")
-        return render(self, *words, **options)
+        return render(self, *argv, **options)
 
     with monkeypatch.context() as patch:
         patch.setattr(Deformer, "render", fails)
@@ -179,14 +180,14 @@ def test_a_film_that_cannot_be_written_ends_the_workers(files, tmp_path, capsys,
     def full(frame):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("warpcage.view.film.even_frame", full)
+    monkeypatch.setattr("warpcage.studio.films.video.even_frame", full)
     assert run(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1) == 2
     assert re.fullmatch(MESSAGES["core.no_space"], capsys.readouterr().err.splitlines()[-1])
     assert names(tmp_path) == [".film.mp4.frames"]  # what was made is kept
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("argv", "message"),
     [
         (["-o", "a.mov", "--show", "depth"], "--workers makes .mov films of colours alone"),
         (["-o", "a.mp4", "--show", "alpha", "--overlay"], "draw cages into colours alone"),
@@ -194,9 +195,9 @@ def test_a_film_that_cannot_be_written_ends_the_workers(files, tmp_path, capsys,
         (["-o", "a.avi"], "must end in"),
     ],
 )
-def test_what_does_not_go_with_workers(files, tmp_path, capsys, monkeypatch, words, message):
+def test_what_does_not_go_with_workers(files, tmp_path, capsys, monkeypatch, argv, message):
     monkeypatch.chdir(tmp_path)
-    assert run(files, *FILM, *words, "--workers", 1) == 2
+    assert run(files, *FILM, *argv, "--workers", 1) == 2
     assert message in capsys.readouterr().err and names(tmp_path) == []
 
 

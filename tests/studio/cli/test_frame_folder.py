@@ -27,11 +27,11 @@ def listing(folder):
 )
 def test_a_run_that_made_no_frame_leaves_nothing(files, tmp_path, capsys, wrong):
     folder = tmp_path / "new" / "frames"
-    words = ["animate", "@ball.npz", "-o", folder, *FILM]
-    assert run(files, *words, *wrong) == 2
+    argv = ["animate", "@ball.npz", "-o", folder, *FILM]
+    assert run(files, *argv, *wrong) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert listing(tmp_path) == []
-    succeed(files, *words)
+    succeed(files, *argv)
     assert len(list(folder.glob("*.png"))) == 3
 
 
@@ -43,33 +43,33 @@ def test_a_film_that_fails_at_its_first_frame_leaves_the_folder_as_it_was(files,
     def fail(self, *_, **__):
         raise MemoryError("too little of it")
 
-    words = ["animate", "@ball.npz", "-o", folder, *FILM, *CAGES, "@posed.obj"]
+    argv = ["animate", "@ball.npz", "-o", folder, *FILM, *CAGES, "@posed.obj"]
     with monkeypatch.context() as patch:
         patch.setattr(Deformer, "render", fail)
-        assert run(files, *words) == 2
+        assert run(files, *argv) == 2
     assert listing(folder) == ["mine.txt"]
     monkeypatch.setattr("warpcage.studio.films.render.write_picture", fail)  # rendered, but not written
-    assert run(files, *words) == 2
+    assert run(files, *argv) == 2
     assert listing(folder) == ["mine.txt"]
 
 
 def test_a_note_without_frames_binds_nobody(files, tmp_path):
     folder = tmp_path / "frames"
-    words = ["animate", "@ball.npz", "-o", folder, *FILM]
-    succeed(files, *words)
+    argv = ["animate", "@ball.npz", "-o", folder, *FILM]
+    succeed(files, *argv)
     for frame in folder.glob("*.png"):
         frame.unlink()
-    succeed(files, *words, "--background", "black")  # another film
+    succeed(files, *argv, "--background", "black")  # another film
     assert json.loads((folder / "animation.json").read_text())["background"] == "black"
 
 
 def test_frames_of_another_film_are_named_and_replaced_when_asked(files, tmp_path, capsys):
     folder = tmp_path / "frames"
-    words = ["animate", "@ball.npz", "-o", folder, *FILM]
-    succeed(files, *words)
+    argv = ["animate", "@ball.npz", "-o", folder, *FILM]
+    succeed(files, *argv)
     (folder / "mine.txt").write_text("mine")
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    other = [*words, "--frames", 2, "--background", "black"]
+    other = [*argv, "--frames", 2, "--background", "black"]
     assert run(files, *other) == 2
     said = capsys.readouterr().err
     assert "frames: 3 there, 2 now" in said and "background: default there, black now" in said

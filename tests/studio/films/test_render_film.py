@@ -10,7 +10,8 @@ from refusals import refused
 
 import warpcage
 from warpcage import CameraFile, CameraKey, Cancelled, Deformer, Place, PlaceFile, PoseFile, Stage
-from warpcage.view import deep_pixels, read_film_frame, read_image, rgba_picture, write_film
+from warpcage.studio.films.video import deep_pixels, read_film_frame, write_film
+from warpcage.view import read_image, rgba_picture
 
 BENDS = [BOX.bend(15.0 * number, axis="x", towards="z") for number in range(3)]
 #: x264 writes the same file again only of sides that are multiples of its blocks.
@@ -147,21 +148,21 @@ def test_the_pose_of_the_deformer_stays(deformer, tmp_path):
 
 
 def test_a_folder_goes_on_after_an_interrupt(deformer, field, tmp_path):
-    told = []
+    reports = []
 
-    def ends(done, total, words):
-        told.append((done, total, words))
+    def ends(done, total, message):
+        reports.append((done, total, message))
         return done < 2
 
     film = {"poses": BENDS, "camera": CAMERA, "format": "npz"}
     with pytest.raises(Cancelled, match="2 of 3"):
         warpcage.render_film(deformer, tmp_path / "film", progress=ends, **film)
-    assert told == [(1, 3, "film"), (2, 3, "film")]
+    assert reports == [(1, 3, "film"), (2, 3, "film")]
     stamps = {path: path.stat().st_mtime_ns for path in (tmp_path / "film").glob("*.npz")}
     assert 1 <= len(stamps) <= 2  # what is not being written yet when it ends is left out
-    told.clear()
-    paths = warpcage.render_film(deformer, tmp_path / "film", progress=lambda *words: told.append(words), **film)
-    assert told == [(number, 3, "film") for number in range(len(stamps) + 1, 4)]
+    reports.clear()
+    paths = warpcage.render_film(deformer, tmp_path / "film", progress=lambda *message: reports.append(message), **film)
+    assert reports == [(number, 3, "film") for number in range(len(stamps) + 1, 4)]
     assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
     np.testing.assert_array_equal(held(paths), bits(frames_of(field, BENDS, [CAMERA] * 3)))
     for other in ({"poses": BENDS[::-1]}, {"camera": view(size=24)}, {"overlay": True}):
@@ -177,7 +178,7 @@ def test_frames_that_are_equal_are_rendered_once(deformer, tmp_path, monkeypatch
     from warpcage.studio.films import Look
 
     render, count = Look.render, []
-    monkeypatch.setattr(Look, "render", lambda *words, **options: count.append(1) or render(*words, **options))
+    monkeypatch.setattr(Look, "render", lambda *argv, **options: count.append(1) or render(*argv, **options))
     warpcage.render_film(deformer, tmp_path / "film.gif", poses=[BENDS[0], BENDS[1], BENDS[1]], camera=CAMERA)
     assert len(count) == 2
 

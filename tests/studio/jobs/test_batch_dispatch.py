@@ -7,12 +7,12 @@ from batch_simulation import Conditions, SimulatedEngine
 from warpcage.studio.jobs import ChunkQueue, ChunkReport, Dispatcher, Driver
 
 
-def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, progress=None, **words):
+def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, progress=None, **options):
     """A run; returns dispatcher, engine and the seconds that it took. `progress` is called with driver and engine."""
     groups = np.sort(np.random.default_rng(3).integers(0, group_count, count))
-    words.setdefault("item_seconds", np.full(count, 0.5))
-    words.setdefault("speeds", np.ones(workers))
-    engine = SimulatedEngine(Conditions(groups=groups, **words))
+    options.setdefault("item_seconds", np.full(count, 0.5))
+    options.setdefault("speeds", np.ones(workers))
+    engine = SimulatedEngine(Conditions(groups=groups, **options))
     dispatcher = Dispatcher(ChunkQueue(np.arange(count), groups, aim=aim), retries=retries)
     for number in range(workers):
         dispatcher.add_worker(str(number))
@@ -185,7 +185,7 @@ def test_a_straggler_gives_back_what_it_has_not_begun():
     count = 800
     seconds, speeds = np.full(count, 1.0), np.ones(8)
     _, engine, alone = simulated(count, 8, 1, item_seconds=seconds)
-    speeds[0] = 60.0  # from the beginning: nobody knows until its first item is made
+    speeds[0] = 60.0  # from the beginning: that is unknown until its first item is made
     dispatcher, engine, slow = simulated(count, 8, 1, item_seconds=seconds, speeds=speeds)
     assert (engine.made == 1).all() and dispatcher.done == count
     assert slow < 60 + 1.25 * count / 7 and alone < 1.1 * count / 8 + 2

@@ -25,8 +25,8 @@ def test_a_fit_and_an_evaluation_are_those_of_the_commands(files, tmp_path):
     fit = Item.from_json({"id": "ball", "kind": "fit", "scene": "scene", "options": options, "output": "f/{id}.npz"})
     with Worker(files, tmp_path / "out", "cpu") as worker:
         assert list(worker.run(fit)) == ["f/ball.npz"]
-    words = ["fit", "@scene", "-o", tmp_path / "f.npz", "--resolution", 16, "--epochs", "0.5", "--quiet"]
-    assert run(files, *words, "--device", "cpu") == 0
+    argv = ["fit", "@scene", "-o", tmp_path / "f.npz", "--resolution", 16, "--epochs", "0.5", "--quiet"]
+    assert run(files, *argv, "--device", "cpu") == 0
     made, expected = (VoxelField.load(path, device="cpu") for path in (tmp_path / "out/f/ball.npz", tmp_path / "f.npz"))
     np.testing.assert_array_equal(made.grid.density.numpy(), expected.grid.density.numpy())
     np.testing.assert_array_equal(made.render(CAMERA).rgb, expected.render(CAMERA).rgb)
@@ -35,8 +35,8 @@ def test_a_fit_and_an_evaluation_are_those_of_the_commands(files, tmp_path):
     with Worker(tmp_path, tmp_path / "out", "cpu") as worker:
         worker.run(Item.from_json(entry))
         assert worker.fields.read_count == 1
-    words = ["evaluate", tmp_path / "out/f/ball.npz", "@scene", "--json", tmp_path / "psnr.json", "--quiet"]
-    assert run(files, *words, "--device", "cpu") == 0
+    argv = ["evaluate", tmp_path / "out/f/ball.npz", "@scene", "--json", tmp_path / "psnr.json", "--quiet"]
+    assert run(files, *argv, "--device", "cpu") == 0
     made, expected = (json.loads(path.read_text()) for path in (tmp_path / "out/psnr.json", tmp_path / "psnr.json"))
     assert made["views"] == expected["views"] and len(made["views"]) == 2
     assert without(made, "field") == without(expected, "field")
@@ -53,21 +53,21 @@ def test_splats_are_fitted_and_evaluated_as_by_the_commands(files, tmp_path):
     expected = warpcage.fit(scene, device="cpu", progress=False, **options)
     made = SplatField.load(tmp_path / "out/f/ball.ply", device="cpu")
     np.testing.assert_array_equal(made.contents.logits, expected.contents.logits)
-    words = ["fit", "@scene", "-o", tmp_path / "ball.ply", "--steps", 20, "--most-splats", 200, "--quiet"]
-    assert run(files, *words, "--device", "cpu") == 0
+    argv = ["fit", "@scene", "-o", tmp_path / "ball.ply", "--steps", 20, "--most-splats", 200, "--quiet"]
+    assert run(files, *argv, "--device", "cpu") == 0
     assert 0 < SplatField.load(tmp_path / "ball.ply", device="cpu").splat_count <= 200
 
     entry = {"id": "psnr", "kind": "evaluate", "field": "out/f/ball.ply", "scene": f"{files}/scene"}
     with Worker(tmp_path, tmp_path / "out", "cpu") as worker:
         worker.run(Item.from_json(entry))
-    words = ["evaluate", tmp_path / "out/f/ball.ply", "@scene", "--json", tmp_path / "psnr.json", "--quiet"]
-    assert run(files, *words, "--device", "cpu") == 0
+    argv = ["evaluate", tmp_path / "out/f/ball.ply", "@scene", "--json", tmp_path / "psnr.json", "--quiet"]
+    assert run(files, *argv, "--device", "cpu") == 0
     made, expected = (json.loads(path.read_text()) for path in (tmp_path / "out/psnr.json", tmp_path / "psnr.json"))
     assert made["views"] == expected["views"] and len(made["views"]) == 2
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("argv", "message"),
     [
         (("-o", "x.ply", "--epochs", "2"), "--epochs is not for fits of splats"),
         (("-o", "x.npz", "--steps", "5"), "--steps is not for fits of voxels"),
@@ -75,13 +75,13 @@ def test_splats_are_fitted_and_evaluated_as_by_the_commands(files, tmp_path):
         (("-o", "x.ply", "--background", "layers"), "is for voxels"),
     ],
 )
-def test_options_of_the_other_kind_are_refused(files, capsys, words, message):
-    assert run(files, "fit", "@scene", *words, "--device", "cpu") != 0
+def test_options_of_the_other_kind_are_refused(files, capsys, argv, message):
+    assert run(files, "fit", "@scene", *argv, "--device", "cpu") != 0
     assert message in capsys.readouterr().err
 
 
 def test_fits_of_one_scene_read_its_pictures_once(files, tmp_path):
-    """And are those of a worker each, to the bit; a changed picture is read, other words are another scene."""
+    """And are those of a worker each, to the bit; a changed picture is read, other options are another scene."""
     entry = {"kind": "fit", "scene": "scene"}
     options = [{"resolution": 16, "epochs": 0.5, "seed": seed} for seed in (0, 1)]
     items = [Item.from_json(entry | {"id": f"fit{k}", "options": each}) for k, each in enumerate(options)]

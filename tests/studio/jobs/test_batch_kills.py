@@ -58,8 +58,8 @@ def run_by(address, *given, **options):
 
 
 def words_of(address, job, out):
-    words = ["run", job, "-o", out, "--device", "cpu", "--quiet", "--workers", 2]
-    return [*map(str, words), *(["--cluster", address] if address else [])]
+    argv = ["run", job, "-o", out, "--device", "cpu", "--quiet", "--workers", 2]
+    return [*map(str, argv), *(["--cluster", address] if address else [])]
 
 
 @pytest.fixture(scope="module")
@@ -107,8 +107,8 @@ def test_a_worker_killed_between_two_chunks_loses_nothing(address, job, whole, t
     """While it makes items of a chunk and writes files of the one before."""
     out, lines = tmp_path / "out", []
     assert run_by(address, job, out, Late, workers=2, warn=lines.append).complete
-    told = about_workers(lines)
-    assert len(told) == 1 and "its worker died" in told[0] and left_over(out) == ["died"]
+    reports = about_workers(lines)
+    assert len(reports) == 1 and "its worker died" in reports[0] and left_over(out) == ["died"]
     assert [name for name, each in records(out).items() if each["attempts"] > 1] == ["shot/f0023"]
     assert len(records(out)) == len(whole) == len(list((out / "shot").iterdir()))
 
@@ -158,7 +158,7 @@ def test_a_process_that_a_program_starts_works_in_its_run(job, whole, tmp_path, 
         assert early in {place["pid"] for place in engines[0].places.values()}
         assert children() <= before
     assert_whole(out, whole)
-    with early_processes(2, 2, "cpu"):  # nobody takes them
+    with early_processes(2, 2, "cpu"):  # no run takes them
         assert len(children() - before) == 2
     assert children() <= before
 
@@ -226,10 +226,10 @@ def test_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines, m
 @RAY_AT_NIGHT
 def test_kills_of_the_driver_cost_nothing(address, job, whole, tmp_path, at_night):
     out, chance = tmp_path / "out", random.Random()
-    words = words_of(address, job, out)
+    argv = words_of(address, job, out)
     notes, made, kills = out / ".warpcage" / "notes", 0, 0
     while kills < KILLS_OF_DRIVERS[at_night]:
-        driver = subprocess.Popen([sys.executable, "-m", "warpcage", *words], stderr=subprocess.PIPE)
+        driver = subprocess.Popen([sys.executable, "-m", "warpcage", *argv], stderr=subprocess.PIPE)
         here = made + chance.randint(1, FRAMES // 6)  # so that there is something left for all
         while driver.poll() is None and here > (made := count_of(notes, out)):
             time.sleep(0.003)
@@ -263,8 +263,8 @@ def test_an_item_that_kills_its_worker_is_failed_and_the_rest_is_made(address, j
     assert report.made == 19 and list(report.failed) == ["shot/f0005"]
     assert report.failed["shot/f0005"].endswith("killed, or a crash of the process, 3 times while it was made")
     record = records(out)["shot/f0005"]
-    told = about_workers(lines)
-    assert record["state"] == "failed" and record["attempts"] == 3 == len(told) == sum("died" in x for x in told)
+    reports = about_workers(lines)
+    assert record["state"] == "failed" and record["attempts"] == 3 == len(reports) == sum("died" in x for x in reports)
 
 
 @RAY_AT_NIGHT
@@ -298,8 +298,8 @@ def test_an_endless_item_is_failed_and_the_rest_is_made(address, tmp_path, worke
     assert report.failed == {"shot/f0005": line} and report.made == 29 and not report.left
     found = records(out)
     assert len(found) == 30 and (found["shot/f0005"]["state"], found["shot/f0005"]["attempts"]) == ("failed", 2)
-    told = about_workers(lines)
-    assert len(told) >= 2 and all("the item took longer than 2 s: it is started again" in each for each in told)
+    reports = about_workers(lines)
+    assert len(reports) >= 2 and all("the item took longer than 2 s: it is started again" in each for each in reports)
     assert run_with(path, out, Making).kept == 29
     assert {record["state"] for record in records(out).values()} == {"done"} and left_over(out) == []
 
@@ -340,8 +340,8 @@ def test_an_interrupt_keeps_what_is_made(address, job, whole, tmp_path):
         "import signal, sys\nfrom warpcage.studio.cli import main\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)"
     )
-    words = words_of(address, job, out)
-    line = [sys.executable, "-c", f"{program}\nsys.exit(main(sys.argv[1:]))", *words]
+    argv = words_of(address, job, out)
+    line = [sys.executable, "-c", f"{program}\nsys.exit(main(sys.argv[1:]))", *argv]
     driver = subprocess.Popen(line, stderr=subprocess.PIPE, text=True)
     while driver.poll() is None and count_of(out / ".warpcage" / "notes", out) < 5:
         time.sleep(0.02)
@@ -359,8 +359,8 @@ def test_an_interrupt_keeps_what_is_made(address, job, whole, tmp_path):
 def test_clusters_that_do_not_answer_are_refused(job, tmp_path, capsys):
     """In a process of its own: this one is connected already."""
     pytest.importorskip("ray", reason="clusters need Ray")
-    words = ["run", job, "-o", tmp_path / "out", "--cluster", "127.0.0.1:1", "--quiet"]
-    done = subprocess.run([sys.executable, "-m", "warpcage", *words], capture_output=True, text=True)
+    argv = ["run", job, "-o", tmp_path / "out", "--cluster", "127.0.0.1:1", "--quiet"]
+    done = subprocess.run([sys.executable, "-m", "warpcage", *argv], capture_output=True, text=True)
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert done.stderr.startswith("warpcage: error: no Ray cluster answers at '127.0.0.1:1'"), done.stderr
 
@@ -382,7 +382,7 @@ class Nodes:
         return [{"Alive": True, "Resources": each} for each in self.resources]
 
     def remote(self, actor):
-        return types.SimpleNamespace(options=lambda **words: None)
+        return types.SimpleNamespace(options=lambda **settings: None)
 
 
 def test_workers_share_the_cores_of_a_cluster():
@@ -441,8 +441,8 @@ lines = []
 report = runs.run_with(pathlib.Path(sys.argv[1]), out, Slow, workers=2, cluster=cluster.address, warn=lines.append)
 losing.join()
 assert report.complete and report.made == 60, report
-told = [line for line in lines if "fewer workers are quicker" not in line]
-assert len(told) == 1 and "its worker died" in told[0], lines
+reports = [line for line in lines if "fewer workers are quicker" not in line]
+assert len(reports) == 1 and "its worker died" in reports[0], lines
 cluster.shutdown()
 """
 

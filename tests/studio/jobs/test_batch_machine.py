@@ -34,8 +34,8 @@ class SteppedEngine(SimulatedEngine):
     def __init__(self, conditions):
         super().__init__(conditions)
         self.go, self.waiting = threading.Semaphore(0), threading.Semaphore(0)
-        self.told: list[Answer] = []  # again, or too late
-        self.heard = NOTHING  # the newest answer
+        self.late: list[Answer] = []  # again, or too late
+        self.newest = NOTHING  # the newest answer
         self.blamed, self.packed = collections.Counter(), collections.Counter()
         self.failed_at: dict[int, str] = {}  # workers at which items failed that are to be made elsewhere
         self.packs: dict[int, int] = {}  # shards by the numbers of chunks that pack them
@@ -44,16 +44,16 @@ class SteppedEngine(SimulatedEngine):
     def wait(self, timeout):
         self.waiting.release()
         self.go.acquire()
-        self.heard = NOTHING
-        answers, self.told = self.told or super().wait(timeout), []
-        for self.heard in answers:
-            if self.heard.method == "run" and self.heard.error is None:
-                self.heard.found.halt = "no space left" if self.full else None
-                if self.heard.number in self.packs and self.pack_errors:
-                    self.heard.found.pack_error = "no tar today"
+        self.newest = NOTHING
+        answers, self.late = self.late or super().wait(timeout), []
+        for self.newest in answers:
+            if self.newest.method == "run" and self.newest.error is None:
+                self.newest.found.halt = "no space left" if self.full else None
+                if self.newest.number in self.packs and self.pack_errors:
+                    self.newest.found.pack_error = "no tar today"
                     self.pack_errors -= 1
-                elif self.heard.number in self.packs:
-                    self.packed[self.packs[self.heard.number]] += 1
+                elif self.newest.number in self.packs:
+                    self.packed[self.packs[self.newest.number]] += 1
         return answers
 
     def submit(self, worker, method, *given):
@@ -79,7 +79,7 @@ class SteppedEngine(SimulatedEngine):
     def bury(self, worker, death):
         """The item that is late is to blame, else the newest that was begun and whose files are not there."""
         super().bury(worker, death)
-        answer, (death, works) = self.heard, self.dead[worker]
+        answer, (death, works) = self.newest, self.dead[worker]
         writing = self.conditions.write_seconds
         begun = [
             item
@@ -215,7 +215,7 @@ class Run(RuleBasedStateMachine):
     def a_worker_answers_twice_or_too_late(self, name, number, answer):
         chunks = [work.chunk.number for work in self.engine.works.get(name, []) if not work.begun]
         if self.engine.starts.get(name) and number not in chunks:
-            self.engine.told = [Answer(name, answer[0], number, answer[1])]
+            self.engine.late = [Answer(name, answer[0], number, answer[1])]
 
     @precondition(lambda self: not self.ended and self.shards)
     @rule(times=st.integers(1, 3))

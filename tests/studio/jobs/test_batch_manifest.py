@@ -10,8 +10,8 @@ import pytest
 from warpcage.studio.jobs import Manifest, id_key, merge_notes, notes_of_chunk
 
 
-def record(name, state="done", **words):
-    return {"id": name, "state": state} | words
+def record(name, state="done", **options):
+    return {"id": name, "state": state} | options
 
 
 def write(path, *records, torn=""):
@@ -36,7 +36,7 @@ def test_notes_replace_what_the_manifest_said(tmp_path):
     write(tmp_path / "two.jsonl", *two, torn=json.dumps(record("f", seconds=1)))  # 1, or the start of 17.5
     merge_notes(manifest, [tmp_path / "one.jsonl", tmp_path / "two.jsonl"])
     found = read(manifest)
-    # b may be tried again and c was being made: nobody knows what their files hold
+    # b may be tried again and c was being made: what their files hold is unknown
     assert {name: each["state"] for name, each in found.items()} == {"ü/d": "done", "a": "done", "e": "failed"}
     assert found["a"]["inputs"] == "new" and len(manifest.read_text(encoding="utf-8").splitlines()) == 3
     assert not list(tmp_path.glob("*o*.jsonl")) or [each.name for each in tmp_path.iterdir()] == ["manifest.jsonl"]
@@ -112,7 +112,7 @@ def test_a_record_is_found_by_its_id(tmp_path):
     assert len(Manifest(tmp_path / "none.jsonl")) == 0 and Manifest(tmp_path / "none.jsonl").find("a") is None
 
 
-def test_two_ids_with_one_key_are_told_apart(tmp_path, monkeypatch):
+def test_two_ids_with_one_key_are_distinguished(tmp_path, monkeypatch):
     monkeypatch.setattr("warpcage.studio.jobs.manifest.id_key", lambda name: 5)
     write(tmp_path / "manifest.jsonl", record("a"), record("b", seconds=3))
     assert Manifest(tmp_path / "manifest.jsonl").find("b")["seconds"] == 3

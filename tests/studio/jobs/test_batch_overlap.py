@@ -72,11 +72,11 @@ def runner_of(files, out, maker, **options):
 def test_items_of_a_chunk_are_made_while_files_of_the_one_before_are_written(files, tmp_path):
     maker = Writing()
     with runner_of(files, tmp_path / "out", maker) as (runner, order):
-        told = threading.Thread(target=runner.begun, args=[1])
-        told.start()
-        assert told.is_alive()
+        reports = threading.Thread(target=runner.begun, args=[1])
+        reports.start()
+        assert reports.is_alive()
         first = runner.begin(order(1, 0, 1))
-        told.join(60)
+        reports.join(60)
         second = runner.begin(order(2, 2, 3, 4))
         assert set(maker.futures) == {0, 1, 2, 3, 4} and not first.report.done
         assert (runner.oldest(1)[0], runner.oldest(2)[0]) == (0, 2) and runner.recall(1, 1.0) == []
@@ -128,7 +128,7 @@ def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
         assert runner.oldest(1) is None and runner.report.done == [3, 7]
 
 
-def test_a_chunk_ends_with_its_time_and_loading_is_told_apart(files, tmp_path, monkeypatch):
+def test_a_chunk_ends_with_its_time_and_loading_is_distinguished(files, tmp_path, monkeypatch):
     """The first item loads: what it takes is not what others take."""
     clock = types.SimpleNamespace(passed=0.0, perf_counter=lambda: clock.passed)
     monkeypatch.setattr("warpcage.studio.jobs.engines.chunk_runner.time", clock)
@@ -349,10 +349,10 @@ def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, 
             )
 
     report = run_with(write_frames(tmp_path / "job", 20), tmp_path / "out", Told)
-    told = [events.get() for _ in range(40)]
+    reports = [events.get() for _ in range(40)]
     assert report.complete and len(records(tmp_path / "out")) == 20
     # chunks of 5, 4, 3: the second is made before the files of the first are there
-    assert (told.index(("made", 5)) < told.index(("there", 0))) == (slow > 0.0)
+    assert (reports.index(("made", 5)) < reports.index(("there", 0))) == (slow > 0.0)
 
 
 def test_a_field_that_cannot_be_read_fails_with_its_item_alone(files, tmp_path):

@@ -33,21 +33,21 @@ def test_parts_that_there_are_not(text):
 
 def test_parts_make_what_one_run_makes(tmp_path, capsys):
     path, out = write_frames(tmp_path / "job", 7), tmp_path / "out"
-    words = ["run", str(path), "--device", "cpu", "--quiet", "-o"]
-    assert main([*words, str(tmp_path / "whole")]) == 0
+    argv = ["run", str(path), "--device", "cpu", "--quiet", "-o"]
+    assert main([*argv, str(tmp_path / "whole")]) == 0
     for part, made in (("2/3", 2), ("1/3", 2)):
-        assert main([*words, str(out), "--part", part]) == 0
+        assert main([*argv, str(out), "--part", part]) == 0
         assert f"wrote {out}: {made} items" in capsys.readouterr().out
         assert not (out / "manifest.jsonl").exists()
-    assert main([*words, str(out), "--part", "1/3"]) == 0  # again
+    assert main([*argv, str(out), "--part", "1/3"]) == 0  # again
     assert "0 items, 2 were there already" in capsys.readouterr().out
-    assert main([*words, str(out)]) == 0  # what the third would have made
+    assert main([*argv, str(out)]) == 0  # what the third would have made
     assert "3 items" in capsys.readouterr().out
     assert pictures(out) == pictures(tmp_path / "whole") and len(records(out)) == 7 and left_over(out) == []
-    assert main([*words, str(out), "--part", "3/3"]) == 0  # it looks into the manifest too
+    assert main([*argv, str(out), "--part", "3/3"]) == 0  # it looks into the manifest too
     assert "0 items, 3 were there already" in capsys.readouterr().out
     for wrong in (["--part", "4/3"], ["--part", "1/3", "--dry-run"]):
-        assert main([*words, str(out), *wrong]) == 2
+        assert main([*argv, str(out), *wrong]) == 2
         assert "part" in capsys.readouterr().err
 
 

@@ -27,9 +27,9 @@ def files(tmp_path_factory):
     return write_frames(tmp_path_factory.mktemp("jobs") / "job", 12).parent
 
 
-def started(path, out, *words):
+def started(path, out, *argv):
     """`warpcage run` in this process; returns its exit status."""
-    return main(["run", str(path), "-o", str(out), "--device", "cpu", "--quiet", *map(str, words)])
+    return main(["run", str(path), "-o", str(out), "--device", "cpu", "--quiet", *map(str, argv)])
 
 
 def test_a_run_makes_all_and_keeps_what_is_there(files, tmp_path, capsys):
@@ -185,8 +185,8 @@ def test_an_ended_run_goes_on_where_it_was(files, tmp_path, sign):
         "import signal, sys\nfrom warpcage.studio.cli import main\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\nsys.exit(main(sys.argv[1:]))"
     )
-    words = ["run", path, "-o", out, "--device", "cpu", "--quiet"]
-    driver = subprocess.Popen([sys.executable, "-c", program, *map(str, words)], stderr=subprocess.PIPE, text=True)
+    argv = ["run", path, "-o", out, "--device", "cpu", "--quiet"]
+    driver = subprocess.Popen([sys.executable, "-c", program, *map(str, argv)], stderr=subprocess.PIPE, text=True)
     while len(list((out / "shot").glob("*.png") if (out / "shot").exists() else ())) < 10:
         assert driver.poll() is None, driver.stderr.read()
         time.sleep(0.02)
@@ -261,11 +261,11 @@ if status == 1:
 """
 
 
-def in_a_namespace(program, *words):
+def in_a_namespace(program, *argv):
     """Python as root of a user namespace, which may mount; the test is skipped where there are none."""
     if subprocess.run(["unshare", "-Urm", "true"], capture_output=True).returncode if shutil.which("unshare") else True:
         pytest.skip("user namespaces are not allowed here")
-    line = ["unshare", "-Urm", sys.executable, "-c", program, *map(str, words)]
+    line = ["unshare", "-Urm", sys.executable, "-c", program, *map(str, argv)]
     return subprocess.run(line, capture_output=True, text=True)
 
 
@@ -312,9 +312,9 @@ def test_only_clusters_need_ray(files, tmp_path):
     """Processes of this machine do without, and without a guard around the program that starts them."""
     program = (
         "import sys\nsys.modules['ray'] = None\nfrom warpcage.studio.cli import main\n"
-        "words = ['run', sys.argv[1], '--device', 'cpu', '--quiet', '-o', sys.argv[2]]\n"
-        "assert main([*words, '--workers', '2', '--item-timeout', '600']) == 0\n"
-        "sys.exit(main([*words[:-1], sys.argv[2] + 'x', '--cluster', '127.0.0.1:6379']))"
+        "argv = ['run', sys.argv[1], '--device', 'cpu', '--quiet', '-o', sys.argv[2]]\n"
+        "assert main([*argv, '--workers', '2', '--item-timeout', '600']) == 0\n"
+        "sys.exit(main([*argv[:-1], sys.argv[2] + 'x', '--cluster', '127.0.0.1:6379']))"
     )
     out = tmp_path / "out"
     line = [sys.executable, "-c", program, str(files / "jobs.jsonl"), str(out)]
@@ -325,13 +325,13 @@ def test_only_clusters_need_ray(files, tmp_path):
 
 
 def test_a_dry_run_writes_nothing(files, tmp_path, capsys):
-    words = ["run", str(files / "jobs.jsonl"), "-o", str(tmp_path / "out"), "--dry-run", "--device", "cpu"]
-    assert main([*words, "--workers", "2"]) == 0
+    argv = ["run", str(files / "jobs.jsonl"), "-o", str(tmp_path / "out"), "--dry-run", "--device", "cpu"]
+    assert main([*argv, "--workers", "2"]) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[0] == "12 items: 0 are there already and unchanged"
     assert said[1] == "12 would be made: 12 frames, in 1 group" and said[3].endswith("by 2 workers")
     assert re.match(MESSAGES["batch.unpaid"].format(items=12), said[4])
-    assert main([*words, "--workers", "2", "--cluster", "10.0.0.1:6379"]) == 0
+    assert main([*argv, "--workers", "2", "--cluster", "10.0.0.1:6379"]) == 0
     assert capsys.readouterr().out.splitlines()[3:] == said[3:4]  # what starts there is not known here
     assert "one frame takes" in said[2] and "shot/f0000" in said[2] and not (tmp_path / "out").exists()
     bad = write_frames(files, 3, "bad.jsonl", changes={0: {"field": "none.npz"}, 1: {"field": "none.npz"}})
@@ -368,7 +368,7 @@ def test_progress_tells_how_far_it_is(files, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "options",
     [
         {"workers": 0},
         {"workers": "2"},
@@ -377,8 +377,8 @@ def test_progress_tells_how_far_it_is(files, tmp_path):
         *({"item_timeout": seconds} for seconds in (0, -1.0, float("nan"), "soon")),
     ],
 )
-def test_options_that_cannot_be_are_refused(files, tmp_path, words):
-    refused(lambda: warpcage.run_jobs(files / "jobs.jsonl", tmp_path, **words), match=next(iter(words)))
+def test_options_that_cannot_be_are_refused(files, tmp_path, options):
+    refused(lambda: warpcage.run_jobs(files / "jobs.jsonl", tmp_path, **options), match=next(iter(options)))
 
 
 def test_shards_are_packed_when_their_items_are_settled(tmp_path):
@@ -421,7 +421,7 @@ def test_a_kill_while_a_shard_is_packed_loses_nothing(tmp_path, step):
     program = (
         "import os, pathlib, signal, sys, types\nsys.path.insert(0, sys.argv[3])\nfrom runs import run_with\n"
         f"import warpcage.studio.jobs.{place} as place\n"
-        "kill = lambda *given, **words: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "kill = lambda *given, **options: os.kill(os.getpid(), signal.SIGKILL)\n"
         f"place.{name} = {'types.SimpleNamespace(rmtree=kill)' if name == 'shutil' else 'kill'}\n"
         "run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
     )
@@ -448,7 +448,7 @@ KILLS = {
     "place.Notes = Torn\n",
     "before the manifest is replaced": "place.atomic_path = kill\n",
     "before notes are removed": "unlink = pathlib.Path.unlink\n"
-    "pathlib.Path.unlink = lambda path, **words: (kill if path.parent.name == 'notes' else unlink)(path, **words)\n",
+    "pathlib.Path.unlink = lambda path, **more: (kill if path.parent.name == 'notes' else unlink)(path, **more)\n",
 }
 
 
@@ -458,7 +458,7 @@ def test_a_kill_at_any_step_loses_nothing(files, tmp_path, step):
     program = (
         "import os, pathlib, signal, sys\nsys.path.insert(0, sys.argv[3])\nfrom runs import run_with\n"
         "import warpcage.studio.jobs.manifest as place\n"
-        "kill = lambda *given, **words: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "kill = lambda *given, **options: os.kill(os.getpid(), signal.SIGKILL)\n"
         f"{KILLS[step]}run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
     )
     line = [sys.executable, "-c", program, str(path), str(out), SUPPORT]
@@ -469,7 +469,7 @@ def test_a_kill_at_any_step_loses_nothing(files, tmp_path, step):
     assert len(records(out)) == len(pictures(out)) == 12 and left_over(out) == []
 
 
-def test_a_shard_that_cannot_be_packed_is_told(tmp_path, monkeypatch):
+def test_a_shard_that_cannot_be_packed_is_reported(tmp_path, monkeypatch):
     path, out = write_records(tmp_path / "job", 12, RECORDS), tmp_path / "out"
     with monkeypatch.context() as patch:
 
@@ -491,14 +491,14 @@ def test_a_folder_of_records_is_a_scene(tmp_path):
     assert len(warpcage.load_scene(out).images) > 4
 
 
-def test_workers_that_do_not_pay_are_told_as_soon_as_an_item_is_timed(tmp_path):
+def test_workers_that_do_not_pay_are_reported_as_soon_as_an_item_is_timed(tmp_path):
     """Processes take longer to start than a few small items take to be made."""
-    path, told = write_frames(tmp_path / "job", 40), []
-    report = run_with(path, tmp_path / "out", Making, workers=2, progress=told.append, warn=told.append)
-    lines = [each for each in told if isinstance(each, str)]
+    path, reports = write_frames(tmp_path / "job", 40), []
+    report = run_with(path, tmp_path / "out", Making, workers=2, progress=reports.append, warn=reports.append)
+    lines = [each for each in reports if isinstance(each, str)]
     assert report.complete and len(lines) == 1
     assert re.match(MESSAGES["batch.unpaid"].format(items=40), lines[0])
-    assert 0 < told[told.index(lines[0]) - 1].done < 40 == told[-1].done
+    assert 0 < reports[reports.index(lines[0]) - 1].done < 40 == reports[-1].done
     assert unpaid(2, 12, 11.9, 1.4) == (
         "2 workers took 11.9 s to start and 1.4 s for 12 items: fewer workers would have been quicker, they pay for "
         "longer work"

@@ -35,19 +35,19 @@ def files(tmp_path_factory):
     return folder
 
 
-def frame(name="frame_0001", **words):
+def frame(name="frame_0001", **options):
     entry = {"id": name, "field": "ball.npz", "cage": "cage.obj", "posed": "poses.npy#1", "camera": "cameras.json#0"}
-    return Item.from_json(entry | {"coordinates": "mean_value", "resolution": 24} | words)
+    return Item.from_json(entry | {"coordinates": "mean_value", "resolution": 24} | options)
 
 
 def test_a_frame_is_that_of_warpcage_render_to_the_byte(files, tmp_path):
     outputs = {part: f"{part}.png" for part in ("rgb", "alpha", "depth", "disparity", "masks")}
     with Worker(files, tmp_path / "out", "cpu") as worker:
         sizes = worker.run(frame(posed="posed.obj", outputs=outputs))
-    words = ["render", "@ball.npz", "--cage", "@cage.obj", "--posed", "@posed.obj", "--camera", "@cameras.json:0"]
-    words += ["--coordinates", "mean_value", "--resolution", 24, "--device", "cpu", "-o", tmp_path / "rgb.png"]
-    words += [word for part in list(outputs)[1:] for word in (f"--{part}", tmp_path / f"{part}.png")]
-    assert run(files, *words) == 0
+    argv = ["render", "@ball.npz", "--cage", "@cage.obj", "--posed", "@posed.obj", "--camera", "@cameras.json:0"]
+    argv += ["--coordinates", "mean_value", "--resolution", 24, "--device", "cpu", "-o", tmp_path / "rgb.png"]
+    argv += [word for part in list(outputs)[1:] for word in (f"--{part}", tmp_path / f"{part}.png")]
+    assert run(files, *argv) == 0
     for part, path in outputs.items():
         made = (tmp_path / "out" / path).read_bytes()
         assert made == (tmp_path / f"{part}.png").read_bytes() and sizes[path] == len(made)
@@ -147,7 +147,7 @@ def test_an_inline_camera_and_cage_are_those_of_files(files, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("more", "words"),
+    ("more", "argv"),
     [
         ({"posed": "twist:30:up"}, ["--posed", "twist:30:up"]),
         ({"posed": "poses.json#wave", "size": 20}, ["--posed", "@poses.json:wave", "--size", 20]),
@@ -157,17 +157,17 @@ def test_an_inline_camera_and_cage_are_those_of_files(files, tmp_path):
     ],
     ids=["preset", "keyframe", "transparent", "another shape", "color"],
 )
-def test_words_mean_what_the_options_of_render_mean(files, tmp_path, more, words):
+def test_words_mean_what_the_options_of_render_mean(files, tmp_path, more, argv):
     rest = Cage.load(files / "cage.obj")
     PoseFile(rest, {"wave": rest.bend(30, axis="x", towards="z"), "other": rest}).save(files / "poses.json")
     with Worker(files, tmp_path, "cpu") as worker:
         worker.run(frame(**({"posed": "posed.obj"} | more)))
     given = ["--camera", "@cameras.json:0", "--coordinates", "mean_value", "--resolution", 24, "--device", "cpu"]
-    if words is None:
-        words = ["--edit", f"{files}/cage.obj:{files}/posed.obj:falloff=0.2:held=still", "--background", "0.2,0.3,0.4"]
+    if argv is None:
+        argv = ["--edit", f"{files}/cage.obj:{files}/posed.obj:falloff=0.2:held=still", "--background", "0.2,0.3,0.4"]
     else:
-        words = ["--cage", "@cage.obj", *([] if "--posed" in words else ["--posed", "@posed.obj"]), *words]
-    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *given, *words) == 0
+        argv = ["--cage", "@cage.obj", *([] if "--posed" in argv else ["--posed", "@posed.obj"]), *argv]
+    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *given, *argv) == 0
     assert (tmp_path / "x.png").read_bytes() == (tmp_path / "frame_0001.png").read_bytes()
 
 
@@ -176,8 +176,8 @@ def test_the_lattice_follows_the_size_of_the_picture_as_it_does_for_render(files
         worker.run(frame(resolution=None, posed="posed.obj"))
         ((_, bound),) = worker.frames.kept.items()
         assert bound.deformer.resolution == 64
-    words = ["--cage", "@cage.obj", "--posed", "@posed.obj", "--camera", "@cameras.json:0", "--device", "cpu"]
-    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *words, "--coordinates", "mean_value") == 0
+    argv = ["--cage", "@cage.obj", "--posed", "@posed.obj", "--camera", "@cameras.json:0", "--device", "cpu"]
+    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *argv, "--coordinates", "mean_value") == 0
     assert (tmp_path / "x.png").read_bytes() == (tmp_path / "frame_0001.png").read_bytes()
 
 
@@ -257,7 +257,7 @@ def test_files_that_change_are_read_again(files, tmp_path):
     cage, pose = Cage.load(files / "cage.obj"), np.load(files / "poses.npy")
     cage.save(files / "x.obj")
     np.save(files / "x.npy", pose)
-    words = {"field": "x.npz", "cage": "x.obj", "posed": "x.npy#1", "outputs": {"rgb": "rgb.npy"}}
+    options = {"field": "x.npz", "cage": "x.obj", "posed": "x.npy#1", "outputs": {"rgb": "rgb.npy"}}
     pictures = []
     with Worker(files, tmp_path, "cpu") as worker:
         for change in (
@@ -267,7 +267,7 @@ def test_files_that_change_are_read_again(files, tmp_path):
             lambda: VoxelField.load(files / "x.npz", device="cpu").save(files / "x.npz"),
         ):
             change()
-            worker.run(frame(**words))
+            worker.run(frame(**options))
             pictures.append(np.load(tmp_path / "rgb.npy"))
         assert worker.fields.read_count == 2
     assert not any(np.array_equal(one, two) for one, two in itertools.pairwise(pictures[:3]))
@@ -312,7 +312,7 @@ def test_pictures_are_encoded_beside_rendering(files, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "arrays"),
+    ("options", "arrays"),
     [
         ({"outputs": {"rgb": "a.png"}}, {"rgb_bytes"}),
         ({"outputs": {"rgb": "a.png"}, "overlay": True}, {"rgb"}),
@@ -323,7 +323,7 @@ def test_pictures_are_encoded_beside_rendering(files, tmp_path, monkeypatch):
         ({"outputs": {"masks": "a.png"}}, {"rgb", "alpha", "depth", "reveal", "fold", "outside"}),
     ],
 )
-def test_what_outputs_are_made_of_is_copied_and_nothing_else(files, tmp_path, monkeypatch, words, arrays):
+def test_what_outputs_are_made_of_is_copied_and_nothing_else(files, tmp_path, monkeypatch, options, arrays):
     begun, asked = set(), set()
 
     def watched(name):
@@ -334,7 +334,7 @@ def test_what_outputs_are_made_of_is_copied_and_nothing_else(files, tmp_path, mo
     for name in ("rgb", "alpha", "depth", "reveal", "fold", "outside"):
         monkeypatch.setattr(Frame, name, watched(name))
     with Worker(files, tmp_path, "cpu") as worker:
-        made = worker.frames.make(frame("a", **words))
+        made = worker.frames.make(frame("a", **options))
         assert begun == arrays and not asked
         begun.clear()
         for path, write in made.writers.items():
@@ -354,7 +354,7 @@ def test_arrays_are_files_of_numpy(tmp_path, shape):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("options", "message"),
     {
         "no field": ({"field": "no.npz"}, "field file '.*no.npz' is not there"),
         "a broken field": ({"field": "broken.npz"}, "broken.npz is not an .npz field file"),
@@ -382,10 +382,10 @@ def test_arrays_are_files_of_numpy(tmp_path, shape):
         "nothing to fill": ({"fill": True}, MESSAGES["batch.fill_one_color"]),
     }.values(),
 )
-def test_what_is_wrong_takes_one_line_and_leaves_nothing(files, tmp_path, words, message):
+def test_what_is_wrong_takes_one_line_and_leaves_nothing(files, tmp_path, options, message):
     (files / "text.json").write_text("text")
     with Worker(files, tmp_path, "cpu") as worker:
-        refused(lambda: worker.run(frame(**words)), match=message, error=(ValueError, FileNotFoundError))
+        refused(lambda: worker.run(frame(**options)), match=message, error=(ValueError, FileNotFoundError))
         assert not any(path.is_file() for path in tmp_path.rglob("*"))
         worker.run(frame())  # the next item is made
 
@@ -398,8 +398,8 @@ def test_a_fingerprint_changes_with_what_an_item_reads_and_with_nothing_else(fil
         (tmp_path / name).write_bytes((files / name).read_bytes())
     poses = np.load(tmp_path / "poses.npy")
 
-    def found(**words):
-        return Fingerprints(tmp_path).of(frame(**words))
+    def found(**options):
+        return Fingerprints(tmp_path).of(frame(**options))
 
     before, kept = found(), Fingerprints(tmp_path)
     assert before == found() == kept.of(frame()) and found(coordinates="green") != before
@@ -427,10 +427,10 @@ def test_a_fingerprint_changes_with_what_an_item_reads_and_with_nothing_else(fil
 
 def test_what_is_missing_is_found_before_anything_is_made(files):
     missing = Missing(files)
-    for words in ({}, {"posed": "bend:30"}, {"posed": "posed.obj"}, {"cage": None, "posed": None}):
-        assert missing.of(frame(**words)) is None
+    for options in ({}, {"posed": "bend:30"}, {"posed": "posed.obj"}, {"cage": None, "posed": None}):
+        assert missing.of(frame(**options)) is None
     assert missing.of(Item.from_json({"id": "f", "kind": "fit", "scene": "scene"})) is None
-    for words, line in (
+    for options, line in (
         ({"field": "no.npz"}, "no.npz' is not there"),
         ({"posed": "poses.npy#3"}, "poses.npy has rows 0 to 2, got 3"),
         ({"moments": [{"posed": ["poses.npy#3"]}]}, "poses.npy has rows 0 to 2, got 3"),
@@ -440,7 +440,7 @@ def test_what_is_missing_is_found_before_anything_is_made(files):
         ({"camera": "no.json#3"}, "no.json' is not there"),
     ):
         for _ in range(2):
-            assert line in (missing.of(frame(**words)) or "")
+            assert line in (missing.of(frame(**options)) or "")
 
 
 def test_the_fingerprint_of_a_scene_is_of_all_of_its_files(files, tmp_path):

@@ -46,8 +46,8 @@ def farm(tmp_path):
     return command, environment, tmp_path / "log"
 
 
-def sbatch(script, *words, environment):
-    return subprocess.Popen([RECIPES / script, *words], env=environment, stderr=subprocess.PIPE, text=True)
+def sbatch(script, *argv, environment):
+    return subprocess.Popen([RECIPES / script, *argv], env=environment, stderr=subprocess.PIPE, text=True)
 
 
 @pytest.mark.parametrize("script", ["ray.sbatch", "array.sbatch"])
@@ -99,15 +99,15 @@ def test_a_task_of_an_array_makes_its_part(farm):
     assert log.read_text() == "warpcage run a film.jsonl -o out --part 7/16 --quiet\n"
 
 
-def test_a_job_file_of_no_film_is_told_in_one_line(tmp_path):
-    """The program that the template's last step holds, on a job file by hand."""
+def test_a_job_file_of_no_film_is_reported_in_one_line(tmp_path):
+    """The program that the last step of the template holds, run on a job file alone."""
     lines = (RECIPES / "frames.openjd.yaml").read_text().split("          data: |\n")[1]
     (tmp_path / "encode.py").write_text(textwrap.dedent(lines))
     (tmp_path / "jobs.jsonl").write_text(
         '{"format": "warpcage jobs", "version": 1}\n{"id": "rest", "field": "ball.npz", "camera": "cameras.json#0"}\n'
     )
-    words = [sys.executable, "encode.py", "jobs.jsonl", "frames", "film.mp4"]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
+    argv = [sys.executable, "encode.py", "jobs.jsonl", "frames", "film.mp4"]
+    done = subprocess.run(argv, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 1 and done.stderr.count("\n") == 1
     assert done.stderr.startswith("jobs.jsonl is of no film, as `warpcage animate --jobs` writes it")
 
@@ -132,8 +132,8 @@ def test_the_template_of_a_render_farm_makes_the_film_of_animate(farm, tmp_path)
     succeed(files, *film, "--jobs", files / "film.jsonl")
     values = {"JobFile": files / "film.jsonl", "Output": tmp_path / "frames", "Parts": 2, "Device": "cpu"}
     values["Film"] = tmp_path / "film.mp4"
-    words = [word for name, value in values.items() for word in ("-p", f"{name}={value}")]
-    run = [openjd, "run", RECIPES / "frames.openjd.yaml", "--step", "Film", "--run-dependencies", *words]
+    argv = [word for name, value in values.items() for word in ("-p", f"{name}={value}")]
+    run = [openjd, "run", RECIPES / "frames.openjd.yaml", "--step", "Film", "--run-dependencies", *argv]
     done = subprocess.run(run, env=environment, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     parts = [call.split("--part ")[1].split()[0] for call in log.read_text().splitlines() if "--part" in call]

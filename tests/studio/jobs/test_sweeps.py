@@ -46,9 +46,9 @@ def items_of(path):
 
 @pytest.mark.parametrize("written", [False, True])
 def test_every_pose_is_seen_by_every_camera_with_every_kind_of_coordinates(files, tmp_path, capsys, written):
-    words = ["--poses", "random:2", "--seeds", 4, 7, "--cameras", "@cameras.json", "--coordinates", "green", "harmonic"]
-    words += ["--write-poses"] if written else []
-    succeed(files, *SWEEP, *words, "--stretch", 0.8, 1.25, "--modes", "bend", "-o", tmp_path / "sweep.jsonl")
+    argv = ["--poses", "random:2", "--seeds", 4, 7, "--cameras", "@cameras.json", "--coordinates", "green", "harmonic"]
+    argv += ["--write-poses"] if written else []
+    succeed(files, *SWEEP, *argv, "--stretch", 0.8, 1.25, "--modes", "bend", "-o", tmp_path / "sweep.jsonl")
     assert "32 pictures of 4 poses" in capsys.readouterr().out
     items = items_of(tmp_path / "sweep.jsonl")
     assert len(items) == len({item.id for item in items}) == 4 * 4 * 2
@@ -76,8 +76,8 @@ def test_every_pose_is_seen_by_every_camera_with_every_kind_of_coordinates(files
 
 
 def test_poses_come_from_files_arrays_presets_and_rest(files, tmp_path):
-    words = ["rest", "@poses.json", "@posed.obj", "@moved.npy", "twist:30", "random:1"]
-    succeed(files, *SWEEP, "--poses", *words, "--cameras", "orbit:1", "-o", tmp_path / "sweep.jsonl", "--write-poses")
+    argv = ["rest", "@poses.json", "@posed.obj", "@moved.npy", "twist:30", "random:1"]
+    succeed(files, *SWEEP, "--poses", *argv, "--cameras", "orbit:1", "-o", tmp_path / "sweep.jsonl", "--write-poses")
     rest, poses = Cage.load(files / "cage.obj"), np.load(tmp_path / "sweep.poses.npy")
     expected = [rest, rest.bend(10), rest.bend(30), Cage.load(files / "posed.obj")]
     expected += [rest.translate([0.1 * k] * 3) for k in range(3)] + [rest.twist(30), rest.random_pose()]
@@ -92,8 +92,8 @@ def test_poses_come_from_files_arrays_presets_and_rest(files, tmp_path):
 
 
 def test_poses_of_files_are_written_and_random_ones_between_them_are_drawn(files, tmp_path):
-    words = ["--poses", "rest", "random:2", "@poses.json", "--cameras", "@cameras.json", "--views", 1]
-    succeed(files, *SWEEP, *words, "-o", tmp_path / "sweep.jsonl")
+    argv = ["--poses", "rest", "random:2", "@poses.json", "--cameras", "@cameras.json", "--views", 1]
+    succeed(files, *SWEEP, *argv, "-o", tmp_path / "sweep.jsonl")
     posed = [item.edits[0].posed for item in items_of(tmp_path / "sweep.jsonl")]
     assert [posed[0], *posed[3:]] == [f"sweep.poses.npy#{row}" for row in range(3)]
     assert [each["random"]["number"] for each in posed[1:3]] == [0, 1]
@@ -105,10 +105,10 @@ def test_poses_of_files_are_written_and_random_ones_between_them_are_drawn(files
     assert '"version": 2' in lines[0] and '"posed": {"random": {"seed": 0, "number": 1}}' in lines[3]
 
 
-def made_by_a_run(files, out, *words, **options):
+def made_by_a_run(files, out, *argv, **options):
     """The files of a sweep of random poses, in bytes by name, and the report of its run."""
     usual = "--cameras @cameras.json --views 2 --resolution 16 --coordinates mean_value --size 20".split()
-    succeed(files, *SWEEP, *usual, *words, "-o", out / "sweep.jsonl")
+    succeed(files, *SWEEP, *usual, *argv, "-o", out / "sweep.jsonl")
     report = run_jobs(out / "sweep.jsonl", out / "made", device="cpu", **options)
     paths = [path for path in (out / "made").rglob("*") if path.is_file() and ".warpcage" not in path.parts]
     return {path.relative_to(out / "made").as_posix(): path.read_bytes() for path in paths}, report
@@ -117,9 +117,9 @@ def made_by_a_run(files, out, *words, **options):
 @pytest.mark.parametrize("up", ["z", "y"])
 def test_workers_draw_the_poses_that_the_driver_would_have_drawn(files, tmp_path, up):
     """To the bit, also where the cage's file stands on another axis, with bounds of their own."""
-    words = ["--poses", "rest", "random:3", "--seeds", 5, 8, "--reach", 0.5, 0.9, "--cage-up", up]
-    drawn, report = made_by_a_run(files, tmp_path / "drawn", *words)
-    written, _ = made_by_a_run(files, tmp_path / "written", *words, "--write-poses")
+    argv = ["--poses", "rest", "random:3", "--seeds", 5, 8, "--reach", 0.5, 0.9, "--cage-up", up]
+    drawn, report = made_by_a_run(files, tmp_path / "drawn", *argv)
+    written, _ = made_by_a_run(files, tmp_path / "written", *argv, "--write-poses")
     assert report.complete and report.made == 14 and drawn.keys() == written.keys()
     rows = np.load(tmp_path / "written" / "sweep.poses.npy")
     for name, data in drawn.items():
@@ -141,9 +141,9 @@ def drawn_cameras(made, pose):
 
 
 def test_shards_of_drawn_poses_are_those_of_written_ones(files, tmp_path):
-    words = ["--poses", "random:3", "--records", "webdataset", "--items-per-shard", 2]
-    drawn, _ = made_by_a_run(files, tmp_path / "drawn", *words)
-    made_by_a_run(files, tmp_path / "written", *words, "--write-poses")
+    argv = ["--poses", "random:3", "--records", "webdataset", "--items-per-shard", 2]
+    drawn, _ = made_by_a_run(files, tmp_path / "drawn", *argv)
+    made_by_a_run(files, tmp_path / "written", *argv, "--write-poses")
     assert sorted(name for name in drawn if name.endswith(".tar")) == [f"shard-00000{k}.tar" for k in range(3)]
     for shard in range(3):
         name = f"made/shard-00000{shard}.tar"
@@ -159,12 +159,12 @@ def test_a_run_makes_those_drawn_poses_again_whose_words_or_cage_changed(files, 
     for name in ("ball.npz", "cage.obj", "cameras.json"):
         shutil.copy(files / name, tmp_path / name)
     path = tmp_path / "job" / "sweep.jsonl"
-    words = ["--poses", "random:4", "--seeds", 1]
-    made, report = made_by_a_run(tmp_path, path.parent, *words)
-    assert report.made == 8 and made_by_a_run(tmp_path, path.parent, *words)[1].kept == 8
+    argv = ["--poses", "random:4", "--seeds", 1]
+    made, report = made_by_a_run(tmp_path, path.parent, *argv)
+    assert report.made == 8 and made_by_a_run(tmp_path, path.parent, *argv)[1].kept == 8
     text = path.read_text()
     more = '"number": 2, "stretch": [0.5, 2.0], "reach": [0.3, 1.0]}}'
-    path.write_text(text.replace('"number": 2}}, "camera"', f'{more}, "camera"'))  # says the same in more words
+    path.write_text(text.replace('"number": 2}}, "camera"', f'{more}, "camera"'))  # says the same at more length
     assert text.count('"number": 2}}, "camera"') == 2
     assert run_jobs(path, path.parent / "made", device="cpu").kept == 8
     text = text.replace('"number": 2}}, "camera"', '"number": 2, "stretch": [0.8, 1.3]}}, "camera"')
@@ -216,8 +216,8 @@ class Counted:
 def test_a_forecast_counts_poses_once_for_all_of_their_cameras(
     files, tmp_path, monkeypatch, views, seconds, posing, total
 ):
-    words = ["--poses", "random:3", "--cameras", "@cameras.json", "--views", views, "-o", tmp_path / "sweep.jsonl"]
-    succeed(files, *SWEEP, *words)
+    argv = ["--poses", "random:3", "--cameras", "@cameras.json", "--views", views, "-o", tmp_path / "sweep.jsonl"]
+    succeed(files, *SWEEP, *argv)
     monkeypatch.setattr("warpcage.studio.jobs.worker.Worker", Counted)
     monkeypatch.setattr("warpcage.studio.jobs.run.time.perf_counter", lambda: Counted.here.now)
     found = foresee(tmp_path / "sweep.jsonl", tmp_path / "out", device="cpu")
@@ -228,16 +228,16 @@ def test_a_forecast_counts_poses_once_for_all_of_their_cameras(
 
 def test_a_pose_is_drawn_once_for_all_of_its_cameras(files, tmp_path, monkeypatch):
     numbers, vertices = [], RandomPoses.vertices
-    words = ["--poses", "random:3", "--cameras", "@cameras.json", "--size", 16, "--resolution", 16]
-    succeed(files, *SWEEP, *words, "--coordinates", "mean_value", "-o", tmp_path / "sweep.jsonl")
+    argv = ["--poses", "random:3", "--cameras", "@cameras.json", "--size", 16, "--resolution", 16]
+    succeed(files, *SWEEP, *argv, "--coordinates", "mean_value", "-o", tmp_path / "sweep.jsonl")
     monkeypatch.setattr(RandomPoses, "vertices", lambda self, n: numbers.append(n) or vertices(self, n))
     assert run_jobs(tmp_path / "sweep.jsonl", tmp_path / "out", device="cpu").made == 12
     assert numbers == [0, 1, 2]
 
 
 def test_cameras_that_are_made_see_the_random_poses_that_workers_draw(files, tmp_path):
-    words = ["--poses", "random:12", "--seeds", 3, 4, "--size", 60]
-    succeed(files, *SWEEP, *words, "--cameras", "orbit:3", "-o", tmp_path / "sweep.jsonl")
+    argv = ["--poses", "random:12", "--seeds", 3, 4, "--size", 60]
+    succeed(files, *SWEEP, *argv, "--cameras", "orbit:3", "-o", tmp_path / "sweep.jsonl")
     rest, cameras = Cage.load(files / "cage.obj"), CameraFile.load(tmp_path / "sweep.cameras.json")
     for seed in (3, 4):
         for number in range(12):
@@ -250,12 +250,12 @@ def test_of_many_random_poses_some_are_drawn_for_the_cameras(files, tmp_path, mo
     """And one alone where the cameras are given."""
     numbers, vertices = [], RandomPoses.vertices
     monkeypatch.setattr(RandomPoses, "vertices", lambda self, n: numbers.append((self.seed, n)) or vertices(self, n))
-    words = ["--poses", "random:1000", "--seeds", 1, 2, "--views", 1, "-o", tmp_path / "sweep.jsonl"]
+    argv = ["--poses", "random:1000", "--seeds", 1, 2, "--views", 1, "-o", tmp_path / "sweep.jsonl"]
     monkeypatch.setattr("warpcage.studio.jobs.sweeps.FRAMED", 6)
-    succeed(files, *SWEEP, *words, "--cameras", "orbit:2")
+    succeed(files, *SWEEP, *argv, "--cameras", "orbit:2")
     assert numbers == [(seed, number) for seed in (1, 2) for number in range(3)]
     numbers.clear()
-    succeed(files, *SWEEP, *words, "--cameras", "@cameras.json")
+    succeed(files, *SWEEP, *argv, "--cameras", "@cameras.json")
     assert numbers == [(1, 0), (2, 0)] and len(items_of(tmp_path / "sweep.jsonl")) == 2000
 
 
@@ -270,15 +270,15 @@ def test_processes_draw_the_same_poses_in_their_order(monkeypatch):
 
 
 def test_a_cage_without_random_poses_is_found_before_the_run(files, tmp_path, capsys):
-    words = ["--stretch", 1 - 1e-12, 1 + 1e-12, "--cameras", "@cameras.json", "-o", tmp_path / "sweep.jsonl"]
-    assert run(files, *SWEEP, "--poses", "random:5", *words) == 2
+    argv = ["--stretch", 1 - 1e-12, 1 + 1e-12, "--cameras", "@cameras.json", "-o", tmp_path / "sweep.jsonl"]
+    assert run(files, *SWEEP, "--poses", "random:5", *argv) == 2
     assert MESSAGES["cage.random_stretch"] in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
 def test_options_of_pictures_are_those_of_all_items(files, tmp_path):
-    words = ["--poses", "rest", "--cameras", "orbit:2", "--coordinates", "green", "--resolution", "precise"]
-    words += ["--density", "paper", "--falloff", 0.2, "--supersampling", 2, "--background", "0.1,0.2,0.3"]
-    succeed(files, *SWEEP, *words, "--records", "webdataset", "--items-per-shard", 7, "--no-depth", "--no-alpha",
+    argv = ["--poses", "rest", "--cameras", "orbit:2", "--coordinates", "green", "--resolution", "precise"]
+    argv += ["--density", "paper", "--falloff", 0.2, "--supersampling", 2, "--background", "0.1,0.2,0.3"]
+    succeed(files, *SWEEP, *argv, "--records", "webdataset", "--items-per-shard", 7, "--no-depth", "--no-alpha",
             "-o", tmp_path / "sweep.jsonl")  # fmt: skip
     with JobFile(tmp_path / "sweep.jsonl") as job:
         assert job.records == {
@@ -297,8 +297,8 @@ def test_options_of_pictures_are_those_of_all_items(files, tmp_path):
 
 @pytest.mark.parametrize("cameras", ["orbit:3:35", "random:3"])
 def test_cameras_that_are_made_see_all_poses_whole(files, tmp_path, cameras):
-    words = ["--poses", "stretch:2.5:x", "translate:0:0:2", "--cameras", cameras, "--size", 60, 40, "--fov", 50]
-    succeed(files, *SWEEP, *words, "-o", tmp_path / "sweep.jsonl")
+    argv = ["--poses", "stretch:2.5:x", "translate:0:0:2", "--cameras", cameras, "--size", 60, 40, "--fov", 50]
+    succeed(files, *SWEEP, *argv, "-o", tmp_path / "sweep.jsonl")
     items, poses = items_of(tmp_path / "sweep.jsonl"), np.load(tmp_path / "sweep.poses.npy")
     made = [
         Camera.look_at(**item.camera)
@@ -313,7 +313,7 @@ def test_cameras_that_are_made_see_all_poses_whole(files, tmp_path, cameras):
     centers = {tuple(camera.center) for camera in made}
     assert len(centers) == (3 if "orbit" in cameras else 6)  # random ones are others for each pose
     again = tmp_path / "again.jsonl"
-    succeed(files, *SWEEP, *words, "-o", again)
+    succeed(files, *SWEEP, *argv, "-o", again)
     assert [item.camera for item in items_of(again)] == [
         item.camera if isinstance(item.camera, dict) else item.camera.replace("sweep.", "again.") for item in items
     ]
@@ -329,8 +329,8 @@ def test_cameras_of_scenes_are_those_of_their_pictures(files, tmp_path):
 
 
 def test_each_pose_may_be_seen_from_some_of_the_cameras(files, tmp_path):
-    words = ["--poses", *["rest"] * 30, "--cameras", "@cameras.json", "--views", 2]
-    succeed(files, *SWEEP, *words, "-o", tmp_path / "sweep.jsonl")
+    argv = ["--poses", *["rest"] * 30, "--cameras", "@cameras.json", "--views", 2]
+    succeed(files, *SWEEP, *argv, "-o", tmp_path / "sweep.jsonl")
     chosen = {}
     for item in items_of(tmp_path / "sweep.jsonl"):
         chosen.setdefault(item.extra["pose"], []).append(item.extra["camera"])
@@ -339,8 +339,8 @@ def test_each_pose_may_be_seen_from_some_of_the_cameras(files, tmp_path):
 
 
 def test_a_sweep_is_made_and_loads_as_scenes(files, tmp_path):
-    words = ["--poses", "bend:30", "--cameras", "orbit:3", "--size", 32, "--resolution", 24]
-    succeed(files, *SWEEP, *words, "--coordinates", "mean_value", "-o", tmp_path / "jobs/sweep.jsonl")
+    argv = ["--poses", "bend:30", "--cameras", "orbit:3", "--size", 32, "--resolution", 24]
+    succeed(files, *SWEEP, *argv, "--coordinates", "mean_value", "-o", tmp_path / "jobs/sweep.jsonl")
     done = {}
     with JobFile(tmp_path / "jobs/sweep.jsonl") as job, Worker(job.folder, tmp_path / "out", "cpu") as worker:
         for item in job.items():
@@ -357,9 +357,9 @@ def test_a_sweep_is_made_and_loads_as_scenes(files, tmp_path):
 
 def test_shards_of_a_run_are_made_again_to_the_byte(files, tmp_path):
     """Also with an item that failed before, one that is new, and a shard that was lost."""
-    words = ["--poses", "rest", "bend:30", "--cameras", "@cameras.json", "--resolution", 16, "--records", "webdataset"]
-    words += ["--coordinates", "mean_value", "--items-per-shard", 3, "-o", tmp_path / "sweep.jsonl"]
-    succeed(files, *SWEEP, *words)
+    argv = ["--poses", "rest", "bend:30", "--cameras", "@cameras.json", "--resolution", 16, "--records", "webdataset"]
+    argv += ["--coordinates", "mean_value", "--items-per-shard", 3, "-o", tmp_path / "sweep.jsonl"]
+    succeed(files, *SWEEP, *argv)
     out, lines = tmp_path / "out", (tmp_path / "sweep.jsonl").read_text().splitlines(keepends=True)
     broken = lines[2].replace("cameras.json#1", "cameras.json#99")
     (tmp_path / "sweep.jsonl").write_text("".join([*lines[:2], broken, *lines[3:]]))
@@ -402,9 +402,9 @@ def test_the_depth_of_a_record_is_that_of_the_posed_surface(tmp_path):
             worker.run(item)
             record = json.loads((tmp_path / "out" / item.outputs["record"]).read_text())
             depth = np.load(tmp_path / "out" / item.outputs["depth"])
-            words = {word: record["camera"][word] for word in ("fx", "fy", "cx", "cy", "width", "height")}
+            options = {word: record["camera"][word] for word in ("fx", "fy", "cx", "cy", "width", "height")}
             pose = np.array(record["transform_matrix"]) @ np.diag([1.0, -1.0, -1.0, 1.0])
-            origins, directions = Camera(**words, camera_to_world=pose).rays()
+            origins, directions = Camera(**options, camera_to_world=pose).rays()
             inverse = np.linalg.inv(matrix)
             o, d = (origins - shift) @ inverse.T, directions @ inverse.T
             a, b, c = (d * d).sum(-1), (o * d).sum(-1), (o * o).sum(-1) - radius**2
@@ -419,7 +419,7 @@ def test_the_depth_of_a_record_is_that_of_the_posed_surface(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words, message",
+    "argv, message",
     [
         (["--poses", "random"], "--poses 'random' must be random:N"),
         (["--poses", "random:0"], "--poses 'random:0' must be random:N"),
@@ -438,10 +438,10 @@ def test_the_depth_of_a_record_is_that_of_the_posed_surface(tmp_path):
         (["--cage", "@open.obj"], "is open"),
     ],
 )
-def test_bad_words_are_one_line_and_leave_nothing(files, tmp_path, capsys, words, message):
+def test_bad_words_are_one_line_and_leave_nothing(files, tmp_path, capsys, argv, message):
     np.save(files / "other.npy", np.zeros((2, 5, 3)))
-    usual = ["--poses", "rest"] if "--poses" not in words and "--stretch" not in words else []
-    assert run(files, *SWEEP, *usual, *words, "-o", tmp_path / "sweep.jsonl") == 2
+    usual = ["--poses", "rest"] if "--poses" not in argv and "--stretch" not in argv else []
+    assert run(files, *SWEEP, *usual, *argv, "-o", tmp_path / "sweep.jsonl") == 2
     error = capsys.readouterr().err
     assert message in error and error.startswith("warpcage: error: ") and error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []

@@ -8,17 +8,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from warpcage.core import checked_whole
 from warpcage.core.arrays import empty_array
 from warpcage.core.devices import launch, resolve_device
-from warpcage.demo.raycast import (
-    HIGHLIGHT,
-    SHININESS,
-    checked_mesh,
-    common_size,
-    device_mesh,
-    mesh_lighting,
-    require_samples,
-)
+from warpcage.demo.raycast import HIGHLIGHT, SHININESS, checked_mesh, common_size, device_mesh, mesh_lighting
 from warpcage.errors import InputError
 from warpcage.kernels.demo.mesh_raycast import measure_mesh_distance
 from warpcage.view.camera import Camera, camera_struct
@@ -67,7 +60,7 @@ class CarriedMesh:
             raise InputError(
                 f"posed must be ({count}, 3) and view_matrices ({count}, 3, 3), got {posed.shape} and {matrices.shape}"
             )
-        require_samples(samples)
+        checked_whole(samples, "samples", 1)
         width, height = common_size(cameras)
         origin = posed.mean(axis=0)
         mesh = self._rest if posed is self.vertices else device_mesh(posed, self.faces, origin, self.device)

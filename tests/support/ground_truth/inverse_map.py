@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from warpcage.coordinates.coordinates import deform_points, stretched_normals
 from warpcage.core.devices import launch, resolve_device
-from warpcage.core.names import POINT_COORDINATES, chosen, require_coordinates
+from warpcage.core.names import POINT_COORDINATES, chosen, coordinate_kind
 from warpcage.mesh.match import require_same_faces
 from warpcage.mesh.mesh import ClosedMesh
 from warpcage.mesh.validity import require_usable
@@ -43,7 +43,7 @@ class InverseMap:
         cuts: int = 2,  # each face is cut into (2 cuts)^2 boundary elements, for harmonic coordinates only
         device: wp.DeviceLike = None,
     ):
-        require_coordinates(coordinates)
+        coordinate_kind(coordinates)
         require_usable(rest, "rest cage")
         require_usable(deformed, "deformed cage")
         require_same_faces(rest, deformed)

@@ -12,8 +12,8 @@ import warp as wp
 
 from warpcage.demo.bricks import Model, Part, ball, box, brick_model, joined, merged
 from warpcage.errors import InputError
+from warpcage.studio.films.video import write_video
 from warpcage.view.camera import Camera
-from warpcage.view.film import write_video
 
 from .carried_mesh import CarriedMesh
 

@@ -6,8 +6,9 @@ import logging
 
 import numpy as np
 
-from ...core.checks import checked_margin
-from ...core.reports import report_progress
+from ...core.checks import checked_number, checked_whole
+from ...core.names import checked_choice
+from ...core.reports import Progress, report_progress
 from ...errors import InputError
 from ...field.surface import require_field
 from ...mesh.mesh import ClosedMesh
@@ -104,10 +105,7 @@ def surface_points(vertices, faces, spacing) -> np.ndarray:
 
 
 def checked_count(vertex_count, name: str = "vertex_count") -> int:
-    whole = isinstance(vertex_count, int | np.integer) and not isinstance(vertex_count, bool)
-    if not whole or not _MIN_COUNT <= vertex_count <= _MAX_COUNT:
-        raise InputError(f"{name} must be a whole number, {_MIN_COUNT} to {_MAX_COUNT}, got {vertex_count!r}")
-    return int(vertex_count)
+    return checked_whole(vertex_count, name, _MIN_COUNT, _MAX_COUNT)
 
 
 #: Points of a mesh that are all looked at; of more, one in each cell of a tenth of a voxel.
@@ -115,7 +113,13 @@ _MAX_POINTS = 1_000_000
 
 
 def cage_around_mesh(
-    mesh, vertex_count: int = 100, *, margin: float | None = None, method: str = "auto", symmetry: str | None = None
+    mesh,
+    vertex_count: int = 100,
+    *,
+    margin: float | None = None,
+    method: str = "auto",
+    symmetry: str | None = None,
+    progress: bool | Progress = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a cage of about `vertex_count` vertices around a mesh; see `Cage.from_mesh`.
     `margin`: least distance between cage and mesh, world units; None takes 1 % of the mesh's size."""
@@ -134,7 +138,7 @@ def cage_around_mesh(
     size = np.ptp(vertices, axis=0).max()
     if size == 0.0:
         raise InputError("the mesh has no extent: all its vertices are in one place")
-    margin = checked_margin(0.01 * size if margin is None else margin)
+    margin = checked_number(0.01 * size if margin is None else margin, "margin", 0.0)
     spacing = voxel_spacing(np.ptp(vertices, axis=0), vertex_count)
     points = np.concatenate([vertices, surface_points(vertices, faces, 0.5 * spacing)])
     slack = 0.29 * spacing  # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
@@ -143,7 +147,7 @@ def cage_around_mesh(
         # numbered row by row: sorted in a fraction of the time of rows of three
         _, one = np.unique(np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1)), return_index=True)
         points, slack = points[one], slack + np.sqrt(3.0) * 0.1 * spacing
-    return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry)
+    return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry, progress)
 
 
 def cage_around_field(
@@ -154,13 +158,15 @@ def cage_around_field(
     threshold: float | None = None,
     method: str = "auto",
     symmetry: str | None = None,
+    progress: bool | Progress = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a cage of `vertex_count` vertices (within 10 %) around what a field shows.
     `margin`: least distance to the visible voxels (boxes of a voxel's size around nodes), in voxels; None takes 1."""
     vertex_count = checked_count(vertex_count)
     require_field(field)
     voxel_size = np.broadcast_to(np.asarray(field.voxel_size, dtype=np.float64), 3)
-    margin = checked_margin(1.0 if margin is None else margin) * voxel_size.max()  # 1: where trilinear values end
+    # 1: where trilinear values end
+    margin = checked_number(1.0 if margin is None else margin, "margin", 0.0) * voxel_size.max()
     points = visible_nodes(field, threshold)
     if not len(points):
         raise InputError("the field shows nothing to put a cage around: lower the threshold")
@@ -169,17 +175,16 @@ def cage_around_field(
     spacing = max(voxel_spacing(extent, vertex_count), voxel_size.max())
     corner = 0.5 * float(np.linalg.norm(voxel_size))
     floor = getattr(field, "floor", None)  # nodes lie above it: the cage ends there, without what they stand on
-    return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, floor)
+    return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, progress, floor)
 
 
 def _cage_around_points(
-    points, spacing, slack, margin, vertex_count, method, symmetry, floor: Plane | None = None
+    points, spacing, slack, margin, vertex_count, method, symmetry, progress, floor: Plane | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tightest cage of the methods asked for; slack: how far the object may lie off its points; floor: where it
     ends."""
     makers = {"shell": shell_cage, "voxel": voxel_cage}
-    if method not in ("auto", *makers):
-        raise InputError(f"method must be 'auto', 'shell' or 'voxel', got {method!r}")
+    checked_choice(method, "method", ("auto", *makers))
     if symmetry not in (None, "x", "y", "z"):
         raise InputError(f"symmetry must be 'x', 'y' or 'z', the normal of the mirror plane, or None, got {symmetry!r}")
     if symmetry is not None and method == "shell":
@@ -195,9 +200,9 @@ def _cage_around_points(
     found, reasons = [], []
     for name, make in makers.items():
         _log.info("%s: %d points, to be enclosed by %d vertices", name, len(points), vertex_count)
-        report_progress(len(found), len(makers), f"cage: {name}")
+        report_progress(progress, len(found), len(makers), f"cage: {name}")
         try:
-            cage = make(points, spacing, slack, margin, vertex_count, symmetry)
+            cage = make(points, spacing, slack, margin, vertex_count, symmetry, progress)
         except ValueError as error:
             reasons.append(f"{name}: {error}")
             _log.info("%s: none (%s)", name, error)
@@ -248,7 +253,7 @@ def simplified(
     vertex_count = checked_count(vertex_count)
     if vertex_count >= len(cage.vertices):
         raise InputError(f"the cage has {len(cage.vertices)} vertices already: ask for fewer, got {vertex_count}")
-    margin = checked_margin(margin)
+    margin = checked_number(margin, "margin", 0.0)
     scene_object = cage if mesh is None and field is None else mesh
     spacing, slack, points = cage.size / 96.0, 0.0, []
     if scene_object is not None:
@@ -264,7 +269,7 @@ def simplified(
         slack = max(slack, 0.5 * float(np.linalg.norm(np.broadcast_to(field.voxel_size, 3))))
     if not any(map(len, points)):
         raise InputError("there is nothing to enclose: the object is empty")
-    # part by part: few vertices tell most objects that are not enclosed from those that are
+    # part by part: the first, of few vertices, finds most objects that are not enclosed
     if scene_object is not cage and not all(inside_mesh(part, cage).all() for part in points):
         raise InputError("the cage does not enclose the object even before: check(field=...) says where")
     return simplified_cage(cage.vertices, cage.faces, np.concatenate(points), spacing, slack + margin, vertex_count)

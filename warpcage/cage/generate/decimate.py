@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from ...core.devices import launch
-from ...core.reports import report_progress
+from ...core.reports import Progress, report_progress
 from ...kernels.mesh.collapses import measure_collapses
 
 
@@ -31,7 +31,9 @@ _COST_DIGITS = 9
 _MIN_TURN, _MIN_EVEN = 0.2, 0.15
 
 
-def progressive_hull(vertices, faces, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
+def progressive_hull(
+    vertices, faces, vertex_count: int, progress: bool | Progress = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a closed manifold surface around the one given, with fewer vertices.
     They are `vertex_count`, or more where no collapse is left."""
     # Cheapest first (room, long edges, uneven faces). It stays manifold and outside the one before; faces do not fold.
@@ -41,7 +43,7 @@ def progressive_hull(vertices, faces, vertex_count: int) -> tuple[np.ndarray, np
     side = np.sqrt(2.0 * area / (np.sqrt(3.0) * vertex_count))
     first = len(vertices)
     while len(vertices) > vertex_count:
-        report_progress(first - len(vertices), first - vertex_count, "cage: decimate")
+        report_progress(progress, first - len(vertices), first - vertex_count, "cage: decimate")
         edges, places, costs = _collapses(vertices, faces, side)
         if not len(edges):
             break

@@ -117,8 +117,8 @@ def _slope(vertices, faces, f, weights, load, away) -> np.ndarray:
 def cleared(
     shell, vertices, faces, need, mirror=None, rounds: int = _CLEAR_ROUNDS, checks: int = _CLEAR_CHECKS
 ) -> np.ndarray:
-    """Vertices pushed outward until every face keeps its distance from the object's points; where that does not come
-    about, `shortfall` tells. By distances on the grid, to a level that rises by what exact ones find short."""
+    """Vertices pushed outward until every face keeps its distance from the object's points, as far as that converges
+    (see `shortfall`). By distances on the grid, to a level that rises by the shortfall of exact distances."""
     mirror = mirror or _same
     edges, lift, unit = ClosedMesh(vertices, faces).edges, np.zeros(len(faces)), shell.spacing
     for _ in range(checks):

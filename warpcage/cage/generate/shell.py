@@ -140,7 +140,7 @@ class ObjectShell:
         count = np.bincount(part)
         # a corner of a part would be half outside, and the first to be left out by what can still be moved
         middle = np.stack([np.bincount(part, weights=cells[:, k]) for k in range(3)], axis=1) / count[:, None]
-        # in whole numbers of 1e-6: cells as near as each other are told apart by their order, not by last digits
+        # in whole numbers of 1e-6: cells at one distance are taken by their order, not by last digits
         off = np.round(((cells - middle[part]) ** 2).sum(axis=1), 6)
         order = np.lexsort((off, part))
         return self.lower + cells[order[np.cumsum(count) - count]] * self.spacing
@@ -230,7 +230,7 @@ _LOOSE = "it could not be drawn close"
 _ATTEMPTS = ((6, False), (9, False), (4, False), (6, True))
 
 
-def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> ClosedMesh:
+def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None, progress=False) -> ClosedMesh:
     """Try ever wider closings until a cage comes out that holds; slack: how far the object may lie off its points."""
     size = np.ptp(points, axis=0).max()
     need = slack + margin
@@ -245,7 +245,9 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
             shell = ObjectShell(points, coarse, need + room, need)
             step = 2 if edge > 8.0 * coarse else 1
             start = decimated(*shell.surface(need + _START * (shell.reach - need), step), fine * vertex_count)
-            cage, reason = sound(shell, *progressive_hull(*start, vertex_count), need, vertex_count, last=last)
+            cage, reason = sound(
+                shell, *progressive_hull(*start, vertex_count, progress), need, vertex_count, last=last
+            )
             found += [cage] if cage else []
             if not reason:
                 break

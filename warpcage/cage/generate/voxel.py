@@ -25,7 +25,7 @@ _EQUAL_SPREAD = 1e-3
 _ASIDE = 1e-6
 
 
-def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> ClosedMesh:
+def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None, progress=False) -> ClosedMesh:
     """A cage of about `vertex_count` vertices around points (p, 3), its faces `margin` off what lies within `slack`.
     `spacing`: side of the voxels for distances; `symmetry`: normal of a mirror plane through the points' middle."""
     axis, middle = None if symmetry is None else "xyz".index(symmetry), 0.0
@@ -46,7 +46,7 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
             nodes, faces = outer_surface(marks, axis)
             vertices = np.matmul(lower + nodes * side, frame.T)
             if len(vertices) > 1.1 * vertex_count and axis is None:
-                vertices, faces = progressive_hull(vertices, faces, vertex_count)
+                vertices, faces = progressive_hull(vertices, faces, vertex_count, progress)
             mirror = None if axis is None else _mirror(_partners(nodes, marks.shape, axis), axis, middle)
             vertices = _smoothed_improved(vertices, ClosedMesh(vertices, faces).edges)
             # a mirrored count is even in its pairs and has no decimation to help it

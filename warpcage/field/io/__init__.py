@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
+from collections.abc import Callable
 
 import numpy as np
 
 from ...core.checks import Cuts, checked_path, checked_positive, listed
-from ...core.files import atomic_path, npz_names, read_npz
+from ...core.files import atomic_path
+from ...core.npz import npz_names, read_npz
 from ...errors import InputError
 from ...view.pictures import PictureCuts
 from . import field_file
@@ -19,12 +21,8 @@ from .svox2 import SVOX2_KEYS, SVOX2_LAYERS, read_svox2, svox2_arrays
 #: The arrays that are read of a file; others may be there.
 KNOWN_NAMES = frozenset((*OWN_NAMES, *field_file.COMPACT_NAMES, *LAYER_NAMES, *OUTER_NAMES, *SVOX2_KEYS))
 
-#: Bytes of memory that a byte of these arrays takes: float16 becomes float32, which is turned and handed to a device.
+#: Bytes of memory that a byte of these arrays takes: float16 becomes float32, which is transposed, then copied.
 ROOM = 6
-
-
-def _write_own(path: pathlib.Path, field: FieldContents, cuts: Cuts) -> None:
-    np.savez(path, **own_arrays(field, cuts))
 
 
 def _write_compact(path: pathlib.Path, field: FieldContents, cuts: Cuts) -> None:
@@ -32,15 +30,15 @@ def _write_compact(path: pathlib.Path, field: FieldContents, cuts: Cuts) -> None
     field_file.write(path, field_file.pack(own_arrays(field, cuts), side, cuts))
 
 
-def _write_svox2(path: pathlib.Path, field: FieldContents, cuts: Cuts) -> None:
-    np.savez(path, **svox2_arrays(field, cuts))
-
-
 #: Files of volumes for other programs, NanoVDB and OpenVDB, which are written alone.
 VOLUME_ENDINGS = (".nvdb", ".vdb")
 
 #: What writes a field to a path, by the name of the format.
-WRITERS = {"warpcage": _write_own, "compact": _write_compact, "svox2": _write_svox2}
+WRITERS: dict[str, Callable[[pathlib.Path, FieldContents, Cuts], None]] = {
+    "warpcage": lambda path, field, cuts: np.savez(path, **own_arrays(field, cuts)),
+    "compact": _write_compact,
+    "svox2": lambda path, field, cuts: np.savez(path, **svox2_arrays(field, cuts)),
+}
 
 
 def save_field(field: FieldContents, path: str | os.PathLike[str], *, format: str = "warpcage") -> None:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from ...core.checks import MAX_HALF, Cuts
-from ...core.files import require_numbers
 from ...core.memory import free_host_bytes
+from ...core.npz import require_numbers
 from ...core.threads import run_parallel
 from ...errors import InputError
 from ...view.camera_path import RefinedCameras
@@ -33,8 +33,8 @@ BASIS_COUNT = 9
 #: each of two differences of colour.
 RGB_NUMBERS, LUMINANCE_NUMBERS = 3 * BASIS_COUNT, 24
 
-#: Of a luminous row, those of degree 0 to 2, by their places in an RGB row's channel.
-_LUMINANCE, _ORANGE, _GREEN = slice(0, BASIS_COUNT), slice(16, 20), slice(20, 24)
+#: Places of the two colour differences in a row of luminance and differences.
+_ORANGE, _GREEN = slice(16, 20), slice(20, 24)
 
 #: What a field's colours are, in a message.
 HARMONICS = "harmonics"
@@ -96,15 +96,14 @@ class FieldContents:
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
 
-def rgb_harmonics(sh: np.ndarray) -> np.ndarray:
-    """Harmonics (rows, 9, 3) of red, green and blue up to degree 2, for formats that know no others.
-    The same function, but for its part of degree 3; (rows, 24) are of luminance and differences of colour."""
+def rgb_harmonics(sh: np.ndarray, count: int = BASIS_COUNT) -> np.ndarray:
+    """Harmonics (rows, count, 3) of red, green and blue from (rows, 24) of luminance and colour differences,
+    those above `count` (9 or 16) left out; (rows, 9, 3) as given."""
     if sh.ndim == 3:
         return sh
-    differences = np.zeros((2, len(sh), BASIS_COUNT), np.float32)
-    differences[0, :, :4], differences[1, :, :4] = sh[:, _ORANGE], sh[:, _GREEN]
-    orange, green = differences
-    luminance = sh[:, _LUMINANCE]
+    orange, green = np.zeros((2, len(sh), count), np.float32)
+    orange[:, :4], green[:, :4] = sh[:, _ORANGE], sh[:, _GREEN]
+    luminance = sh[:, :count]
     grey = luminance - 0.5 * green
     return np.stack([grey + orange, luminance + green, grey - orange], axis=-1)
 
@@ -201,11 +200,6 @@ def pack(contents: dict[str, Any], voxel_side: float, cuts: Cuts) -> dict[str, A
     return packed
 
 
-def is_packed(contents: dict[str, Any]) -> bool:
-    """Whether a file is compact."""
-    return "sh_low" in contents
-
-
 def unpack(contents: dict[str, np.ndarray], rows: int, voxel_side: float, path: pathlib.Path) -> dict[str, np.ndarray]:
     """The arrays of the plain file again: harmonics (rows, 3, 9) or (rows, 24), densities, weights.
     voxel_side: the smallest, world units; path: for messages."""
@@ -239,6 +233,14 @@ def write(path: pathlib.Path, arrays: dict[str, Any]) -> None:
                 np.lib.format.write_array(
                     member, np.ascontiguousarray(array) if np.ndim(array) else np.asarray(array), allow_pickle=False
                 )
+
+
+def _read_bytes(contents: dict[str, np.ndarray], name: str, shape: tuple[int, ...], path: pathlib.Path) -> np.ndarray:
+    """An array of bytes of a file; path: for messages."""
+    array = require_numbers(contents, name, shape, path)
+    if array.dtype != np.uint8:
+        raise InputError(f"{path}: {name} must be uint8, got {array.dtype}")
+    return array
 
 
 #: Names in the archive begin with this.
@@ -298,13 +300,9 @@ def read_layers(contents: dict[str, np.ndarray], path: pathlib.Path) -> LayerCon
     size = shape[0] * shape[1]
     if LAYER_NODE_BYTES * size > free_host_bytes():
         raise InputError(f"{path}: {count} background layers of {side} cells need more memory than is free")
-    packed = read("seen", (-(-size // 8),))
-    if packed.dtype != np.uint8:
-        raise InputError(f"{path}: {LAYERS_PREFIX}seen must be uint8, got {packed.dtype}")
+    packed = _read_bytes(contents, LAYERS_PREFIX + "seen", (-(-size // 8),), path)
     seen = np.unpackbits(packed, count=size).astype(bool).reshape(shape)
-    rgba = read("rgba", (int(seen.sum()), 4))
-    if rgba.dtype != np.uint8:
-        raise InputError(f"{path}: {LAYERS_PREFIX}rgba must be uint8, got {rgba.dtype}")
+    rgba = _read_bytes(contents, LAYERS_PREFIX + "rgba", (int(seen.sum()), 4), path)
     unseen = read("unseen", (4,)).astype(np.float32) if LAYERS_PREFIX + "unseen" in contents else None
     if unseen is None and not seen.all():
         raise InputError(f"{path} lacks {LAYERS_PREFIX}unseen")
@@ -327,7 +325,7 @@ MIN_OUTER_SIDE, MAX_OUTER_SIDE = 4, 1290
 #: Bytes that a node, and a voxel that holds values, take while they are read.
 OUTER_NODE_BYTES, OUTER_ROW_BYTES = 10, 40
 
-#: Opacity of a voxel, of 255, above which nothing is told apart: 254.5 stands for all of it.
+#: Opacity of a voxel, of 255, above which all are the same: 254.5 stands for all of it.
 MAX_OPACITY = 254.5
 
 
@@ -366,16 +364,12 @@ def read_outer(contents: dict[str, np.ndarray], path: pathlib.Path) -> OuterCont
     count = side**3
     if OUTER_NODE_BYTES * count > free_host_bytes():
         raise InputError(f"{path}: an outer field of {side}^3 needs more memory than is free")
-    packed = read("occupancy", (-(-count // 8),))
-    if packed.dtype != np.uint8:
-        raise InputError(f"{path}: {OUTER_PREFIX}occupancy must be uint8, got {packed.dtype}")
+    packed = _read_bytes(contents, OUTER_PREFIX + "occupancy", (-(-count // 8),), path)
     occupied = np.unpackbits(packed, count=count).astype(bool).reshape(side, side, side)
     rows = int(occupied.sum())
     if OUTER_ROW_BYTES * rows > free_host_bytes():
         raise InputError(f"{path}: an outer field of {rows} voxels needs more memory than is free")
-    rgba = read("rgba", (rows, 4))
-    if rgba.dtype != np.uint8:
-        raise InputError(f"{path}: {OUTER_PREFIX}rgba must be uint8, got {rgba.dtype}")
+    rgba = _read_bytes(contents, OUTER_PREFIX + "rgba", (rows, 4), path)
     links = np.full(occupied.shape, -1, np.int32)
     links[occupied] = np.arange(rows, dtype=np.int32)
     sky = require_numbers(contents, OUTER_PREFIX + "sky", (None, 3), path).astype(np.float32) / 255
@@ -401,6 +395,7 @@ def own_arrays(field: FieldContents, cuts: Cuts) -> dict[str, Any]:
     cuts: counts what is cut."""
     occupied = field.links >= 0
     order = field.links[occupied]  # the file's rows are in memory order
+    sh = field.sh[order]
     contents = {
         "format": np.array("warpcage"),
         "version": np.array(_least_version(field)),
@@ -411,7 +406,7 @@ def own_arrays(field: FieldContents, cuts: Cuts) -> dict[str, Any]:
         "resolution": np.array(field.links.shape, np.int32),
         "occupancy": np.packbits(occupied.ravel()),
         "density": field.density[order],
-        "sh": _file_harmonics(field.sh[order], cuts),
+        "sh": as_half(HARMONICS, sh if sh.ndim == 2 else sh.transpose(0, 2, 1), cuts),  # (rows, rgb, basis) or luminous
     }
     if field.straightening is not None:
         contents["straightening"] = field.straightening
@@ -433,11 +428,6 @@ def _least_version(field: FieldContents) -> int:
     if field.sh.ndim == 2:
         return LUMINOUS_VERSION
     return 1 if field.layers is None else LAYERS_VERSION
-
-
-def _file_harmonics(sh: np.ndarray, cuts: Cuts) -> np.ndarray:
-    """Harmonics as files have them: (rows, rgb, basis), or luminous rows as they are."""
-    return as_half(HARMONICS, sh if sh.ndim == 2 else sh.transpose(0, 2, 1), cuts)
 
 
 def _read_harmonics(contents: dict[str, np.ndarray], rows: int, path: pathlib.Path) -> np.ndarray:
@@ -462,13 +452,11 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
             f"{path}: resolution must be at least 2 along each axis, and small enough that links fit into memory, "
             f"got {shape}"
         )
-    packed = require_numbers(contents, "occupancy", (-(-count // 8),), path)
-    if packed.dtype != np.uint8:
-        raise InputError(f"{path}: occupancy must be uint8, got {packed.dtype}")
+    packed = _read_bytes(contents, "occupancy", (-(-count // 8),), path)
     occupied = np.unpackbits(packed, count=count).view(bool).reshape(shape)
     rows = int(np.count_nonzero(occupied))
     bounds = require_numbers(contents, "bounds", (2, 3), path)
-    if is_packed(contents):
+    if "sh_low" in contents:  # a compact file
         if not (bounds[1] > bounds[0]).all():
             raise InputError(f"{path}: bounds must be lower below upper, got {bounds.tolist()}")
         contents = unpack(contents, rows, voxel_side(bounds, shape), path)
@@ -504,8 +492,8 @@ def _read_refined(contents: dict[str, np.ndarray], path: pathlib.Path) -> Refine
     """The refined cameras of a file, which it holds as the UTF-8 of a list in JSON."""
     if "refined_cameras" not in contents:
         return None
-    words = require_numbers(contents, "refined_cameras", (None,), path)
+    text = require_numbers(contents, "refined_cameras", (None,), path)
     try:
-        return RefinedCameras.from_entries(json.loads(words.tobytes()))
+        return RefinedCameras.from_entries(json.loads(text.tobytes()))
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: its refined cameras are damaged: {' '.join(str(error).split())}") from error

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...core.checks import Cuts, warn_caller
-from ...core.files import require_numbers
+from ...core.npz import require_numbers
 from ...errors import InputError
 from .field_file import BASIS_COUNT, HARMONICS, MAX_VOXELS, FieldContents, as_half, rgb_harmonics
 

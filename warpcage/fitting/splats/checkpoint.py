@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import pathlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...core.files import atomic_path, require_numbers
+from ...core.files import atomic_path
+from ...core.npz import require_numbers
 from ...errors import InputError
-from ..checkpoint import read_checkpoint, scene_digest, told_of_damage
+from ..checkpoint import damage_as_error, fingerprint, read_checkpoint
 
 if TYPE_CHECKING:
     from .optimizer import SplatFit
@@ -43,7 +42,7 @@ def load_progress(fit: SplatFit, path: str | pathlib.Path) -> None:
     known = ("format", "version", "fingerprint", "step_count", "exposures")
     names = {*known, *(f"{part}_{name}" for part in PARTS for name in NAMES)}
     contents = read_checkpoint(path, KIND, VERSION, names, fingerprint(fit))
-    with told_of_damage(path):
+    with damage_as_error(path):
         step = int(contents["step_count"])
         if not 0 <= step <= fit.total_steps:
             raise InputError(f"step {step} of {fit.total_steps}")
@@ -59,9 +58,3 @@ def load_progress(fit: SplatFit, path: str | pathlib.Path) -> None:
         if not np.isfinite(exposures).all():
             raise InputError("values that are not finite")
     fit.restore(step, found, exposures)
-
-
-def fingerprint(fit: SplatFit) -> str:
-    """Hash, in hexadecimal digits, of all that a fit depends on: seed, options, scene, and where it began."""
-    given = json.dumps(fit.given, sort_keys=True).encode()
-    return hashlib.blake2b(given + scene_digest(fit.scene), digest_size=32).hexdigest()

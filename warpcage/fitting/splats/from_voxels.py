@@ -8,12 +8,12 @@ import numpy as np
 
 from ...core.checks import checked_whole, require_type
 from ...errors import InputError
+from ...field.io.field_file import rgb_harmonics
 from ...field.sparse import harmonics_on_host
 from ...field.voxel_field import VoxelField
 from ...select.selection import visible_rows
 from ...splats.io.contents import MIN_OPACITY
 from ...splats.splat_field import SplatField
-from ..options import checked_seed
 
 #: Standard deviation of a splat in sides of its voxel: that of trilinear weights is 1 / sqrt(6) = 0.41. Of 0.3 to 0.6
 #: the best for fog and for fitted fields, both as they are drawn and antialiased.
@@ -41,9 +41,9 @@ def to_splats(field: VoxelField, *, most: int = 200_000, seed: int = 0) -> Splat
 
     Args:
         field: The voxels.
-        most: Most splats, at least 1. Of more voxels that can be seen so many are drawn, and splats are larger, so that
-            they cover as much.
-        seed: Of that draw, a whole number of at least 0.
+        most: Most splats, at least 1. Where more voxels can be seen, a random sample of that size becomes splats,
+            enlarged to cover as much.
+        seed: Seed of that sample, a whole number of at least 0.
 
     Returns:
         The splats, in the coordinates of the field, with its background, `up` and device; of degree 2, or 3 of a field
@@ -53,7 +53,7 @@ def to_splats(field: VoxelField, *, most: int = 200_000, seed: int = 0) -> Splat
         ValueError: For another kind of field, one without anything that can be seen, and options out of range.
     """
     require_type(field, VoxelField, "to_splats needs")
-    most, random = checked_whole(most, "most", 1), np.random.default_rng(checked_seed(seed))
+    most, random = checked_whole(most, "most", 1), np.random.default_rng(checked_whole(seed, "the seed", 0))
     links = field.grid.links.numpy()
     side = float(np.prod(field.voxel_size) ** (1.0 / 3.0))
     seen = visible_rows(field)
@@ -77,7 +77,7 @@ def to_splats(field: VoxelField, *, most: int = 200_000, seed: int = 0) -> Splat
         np.broadcast_to(np.log(SPREAD * larger * field.voxel_size), (len(chosen), 3)),
         quaternions,
         np.log(opacities) - np.log1p(-opacities),
-        _splat_harmonics(harmonics_on_host(field.grid.sh)[links[tuple(cells[chosen].T)]]),
+        rgb_harmonics(harmonics_on_host(field.grid.sh)[links[tuple(cells[chosen].T)]], 16),
         background=field.background,
         up=field.up,
         device=field.device,
@@ -112,13 +112,3 @@ def _hidden_rows(links: np.ndarray, depths: np.ndarray) -> np.ndarray:
     inner = np.asarray(binary_erosion(solid, iterations=HIDING_VOXELS), bool)
     hidden[links[np.nonzero(inner)]] = True
     return hidden
-
-
-def _splat_harmonics(rows: np.ndarray) -> np.ndarray:
-    """Harmonics (n, 9 or 16, 3) of red, green and blue from those of voxels, (n, 9, 3) or (n, 24): the same basis."""
-    if rows.ndim == 3:
-        return rows
-    luminance, (orange, green) = rows[:, :16], np.zeros((2, len(rows), 16), np.float32)
-    orange[:, :4], green[:, :4] = rows[:, 16:20], rows[:, 20:24]
-    grey = luminance - 0.5 * green  # kernels/field/harmonics.py: luminance_color
-    return np.stack([grey + orange, luminance + green, grey - orange], axis=2)

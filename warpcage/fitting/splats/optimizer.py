@@ -12,11 +12,12 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ...core.arrays import empty_array, struct_array
-from ...core.checks import require_type
+from ...core.checks import checked_whole, require_type
 from ...core.devices import HeldOnDevice, launch, resolve_device
-from ...core.locks import device_turn, in_turn
 from ...core.modules import load_modules
 from ...core.names import counted
+from ...core.reports import Progress, reports_progress
+from ...core.threads import device_turn, in_turn
 from ...errors import InputError
 from ...field.io.field_file import Y0
 from ...kernels.fitting import splat_growth, splat_step
@@ -25,12 +26,11 @@ from ...kernels.splats import composite, composite_cpu, fit, project, tiles
 from ...scene.scene import Scene
 from ...splats.fit import SplatGradients
 from ...splats.io.contents import MIN_OPACITY, SplatContents, logits_of, opacities_of
-from ...splats.render import IMAGE_BLUR, MAX_ENTRIES, PROJECT_WORK, splat_lens
+from ...splats.render import IMAGE_BLUR, MAX_ENTRIES, PROJECT_WORK, splat_lens, tile_grid
 from ...splats.splat_field import SplatField
 from ...view.camera import Camera
 from ..batches import MIN_ERROR, PRECISIONS, TrainingPictures, counted_pixels, picture_bytes
 from ..memory import memory_limit, memory_text, require_image_memory
-from ..options import checked_seed
 from .growth import GrowingSplats
 from .loss import PictureExposures, PictureLoss
 from .options import checked_splat_options
@@ -62,10 +62,7 @@ class TrainingView(SplatGradients):
     def __init__(self, width: int, height: int, device: wp.Device):
         super().__init__(device)
         self.pixels = width * height
-        self.grid: Any = tiles.TileGrid()
-        side = int(tiles.TILE_SIDE)
-        self.grid.columns, self.grid.rows = -(-width // side), -(-height // side)
-        self.grid.width, self.grid.height = width, height
+        self.grid = tile_grid(width, height)
         self.room = MIN_ROOM
         self.most = wp.zeros(1, dtype=wp.int64, device=device)  # entries of any picture yet
         self.missed = wp.zeros(2, dtype=wp.int32, device=device)  # whether this picture has too many, and how many had
@@ -108,11 +105,12 @@ class SplatFit(HeldOnDevice):
     Args:
         scene: The images with their cameras.
         device: Warp device. None is CUDA where there is one.
-        seed: Of the order of pictures, the places where splats begin and grow, and the noise. On the CPU the same seed
+        seed: Seed of the order of pictures, of where splats begin and grow, and of the noise. On the CPU the same seed
             and scene give the same splats to the bit, with as many threads where they begin on a quick fit of voxels.
-        first: Splats to begin with. None takes what the option `start` says.
+        first: Splats to begin with. None follows the option `start`.
         weights: (n, h, w) in [0, 1], how much each pixel of the pictures counts, in place of `Scene.weights`. None
             takes those.
+        progress: A function is called with (done, total, message) before kernels are compiled; see `fit`.
         options: `quality`, and fields of SplatFitOptions by name, which have priority over it.
 
     Raises:
@@ -129,6 +127,7 @@ class SplatFit(HeldOnDevice):
 
     coarser = None  # a fit of voxels says here that its field is coarser than planned
 
+    @reports_progress
     def __init__(
         self,
         scene: Scene,
@@ -137,17 +136,18 @@ class SplatFit(HeldOnDevice):
         seed: int = 0,
         first: Start | None = None,
         weights: ArrayLike | None = None,
+        progress: bool | Progress = False,
         **options: Any,
     ):
         require_type(scene, Scene, "a fit needs")
         self.options = checked_splat_options(options)
         scene = fitted_scene(scene)
         self.scene = scene = scene if weights is None else dataclasses.replace(scene, weights=weights)
-        self.device, self.seed = resolve_device(device), checked_seed(seed)
+        self.device, self.seed = resolve_device(device), checked_whole(seed, "the seed", 0)
         self.step_count, self.psnr = 0, float("nan")
         self.memory_limit = memory_limit(self.options.max_memory, self.device)
         modules = [composite_cpu] if self.device.is_cpu else [composite]
-        load_modules([*modules, project, tiles, fit, splat_step, splat_growth], self.device)
+        load_modules([*modules, project, tiles, fit, splat_step, splat_growth], self.device, progress)
         self._center, self._unit, extent = scene_units(scene)
         self.most_splats = self._planned_splats()
         if first is None:
@@ -341,13 +341,8 @@ class SplatFit(HeldOnDevice):
             self._shown.halves = coarse
             if counted.size:
                 counted = empty_array(coarse.shape, wp.uint8, device)
-                launch(
-                    splat_step.shrink_weights,
-                    coarse.size,
-                    [shrinkage, self._pictures.counted],
-                    [counted],
-                    device=device,
-                )
+                inputs = [shrinkage, self._pictures.counted]
+                launch(splat_step.shrink_weights, coarse.size, inputs, [counted], device=device)
         self._shown_counted = counted
         lenses = [self._lens_of(camera) for camera in scene.cameras]
         self._lenses = struct_array(lenses, project.Lens, device)
@@ -441,7 +436,7 @@ class SplatFit(HeldOnDevice):
 
     @property
     def field(self) -> SplatField:
-        """The splats so far, in the scene's own world, without those that nobody sees."""
+        """The splats so far, in the scene's own world, without those that no picture sees."""
         values: dict[str, Any] = self.growing.to_contents(self.growing.splats.degree)
         kept = opacities_of(values["logits"]) >= MIN_OPACITY
         values = {name: rows[kept] for name, rows in values.items()}

@@ -7,7 +7,8 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from ...core.names import QUALITIES
+from ...core.checks import checked_flag
+from ...core.names import QUALITIES, checked_choice
 from ...errors import InputError
 from ..options import FitCall, checked_fields, number, option, positive, weight, whole, with_arguments
 from .start import STARTS
@@ -110,14 +111,12 @@ BACKGROUNDS = ("auto", "random", "constant", "black")
 def checked_splat_options(options: dict) -> SplatFitOptions:
     """The options of a caller, `quality` and fields of SplatFitOptions by name, checked; `max_memory` in bytes."""
     for name in ("every_value", "antialias"):
-        if not isinstance(options.get(name, False), bool):
-            raise InputError(f"{name} must be True or False, got {options[name]!r}")
+        checked_flag(options.get(name, False), name)
     if not isinstance(options.get("exposure"), bool | None):
         raise InputError(f"exposure must be True, False or None, got {options['exposure']!r}")
     checked = checked_fields(SplatFitOptions, SET_BY_QUALITY, options)
-    for name, known in (("background", BACKGROUNDS), ("start", STARTS)):
-        if getattr(checked, name) not in known:
-            raise InputError(f"{name} must be one of {', '.join(known)}, got {getattr(checked, name)!r}")
+    checked_choice(checked.background, "background", BACKGROUNDS)
+    checked_choice(checked.start, "start", STARTS)
     return checked
 
 

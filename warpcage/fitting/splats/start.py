@@ -53,7 +53,7 @@ VIEWS, LOOKING_VIEWS, TRIES = 3, 64, 16
 #: Least `extent` of a scene: a single camera has none, and the rates of a fit are multiples of it.
 MIN_EXTENT = 0.1
 
-#: Where pictures show what no point tells of: cells along their longer side in which points are looked for, how many
+#: Where pictures show what has no point: cells along their longer side in which points are looked for, how many
 #: points look, places over points, and how far these are, in units of `scene_units`.
 GAP_CELLS, GAP_POINTS, GAP_SHARE, GAP_DISTANCE = 24, 50_000, 0.2, 20.0
 
@@ -212,11 +212,11 @@ def _surface_places(
         origins, directions = (rays.reshape(-1, 3)[chosen] for rays in camera.rays())
         places.append(origins + depth[chosen, None] * directions)
         colors.append(shown[chosen])
-    found, shades = np.concatenate(places), np.concatenate(colors)
+    found, rgb = np.concatenate(places), np.concatenate(colors)
     focus, unit, _ = scene_units(scene)
     near = np.flatnonzero(np.linalg.norm(found - focus, axis=1) <= FARTHEST * unit)
     kept = np.sort(random.permutation(near)[:count])
-    return found[kept], shades[kept], f"{len(kept):,} places on a quick fit of voxels"
+    return found[kept], rgb[kept], f"{len(kept):,} places on a quick fit of voxels"
 
 
 def shrunk_camera(camera: Camera, side: int) -> Camera:

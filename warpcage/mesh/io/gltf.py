@@ -419,12 +419,12 @@ class _Body:
         self.parts.append(data + bytes(-len(data) % 4))
         return len(self.views) - 1
 
-    def add(self, values: np.ndarray, kind: str, *, target: int | None = None, **words: object) -> int:
+    def add(self, values: np.ndarray, kind: str, *, target: int | None = None, **properties: object) -> int:
         """Add values in the type of the file, (n,) or (n, width). Returns the number of their accessor."""
         component = next(number for number, name in _COMPONENTS.items() if np.dtype(name) == values.dtype)
         view = self.add_bytes(values.tobytes(), target=target)
         entry = {"bufferView": view, "componentType": component, "type": kind, "count": len(values)}
-        self.accessors.append(entry | words)
+        self.accessors.append(entry | properties)
         return len(self.accessors) - 1
 
     def add_ranged(self, values: np.ndarray, kind: str, *, target: int | None = None) -> int:
@@ -459,7 +459,7 @@ def _document(
         "meshes": [mesh],
     }  # fmt: skip
     if colors is not None:
-        rows = np.ones((len(colors), 4))  # four, as rows must be whole words
+        rows = np.ones((len(colors), 4))  # RGBA, as glTF aligns each row to four bytes
         rows[:, :3] = linear_light(colors)
         colored = np.round(rows * 65535.0).astype("<u2")
         primitive["attributes"]["COLOR_0"] = body.add(colored, "VEC4", target=_VERTICES, normalized=True)

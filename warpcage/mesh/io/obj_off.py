@@ -39,8 +39,8 @@ def obj_object_names(path: pathlib.Path) -> list[str]:
         if word == [b"f"]:
             found[name] = None
         elif word == [b"o"]:
-            words = line.split(b"#", 1)[0].decode("utf-8", errors="replace").split()
-            name = " ".join(words[1:]) or UNNAMED
+            tokens = line.split(b"#", 1)[0].decode("utf-8", errors="replace").split()
+            name = " ".join(tokens[1:]) or UNNAMED
     return list(found)
 
 
@@ -57,7 +57,7 @@ def read_obj_object(path: pathlib.Path, name: str) -> tuple[np.ndarray, Polygons
     ]  # some programs write all vertices first, others those of an object before its `o`
     number = {old: new for new, old in enumerate(kept)}
     own = [
-        # what points nowhere stays so, and is told with its line
+        # indices out of range stay: the check reports them with their line
         (line, [number.get(index, index if index < 0 else index + count) for index in polygon])
         for (line, polygon), owner in zip(polygons, owners, strict=True)
         if owner == name
@@ -68,19 +68,19 @@ def read_obj_object(path: pathlib.Path, name: str) -> tuple[np.ndarray, Polygons
 def _parsed_obj(path: pathlib.Path) -> tuple[np.ndarray, Polygons, list[str], list[str]]:
     """Vertices, polygons, and the names of the objects that vertices and polygons stand among the lines of."""
     vertices, polygons, declared, owners, name = [], [], [], [], UNNAMED
-    for line, words in text_lines(path):
-        if words[0] == "v":
-            vertices.append(point(words[1:], path, line))
+    for line, tokens in text_lines(path):
+        if tokens[0] == "v":
+            vertices.append(point(tokens[1:], path, line))
             declared.append(name)
-        elif words[0] == "f":
+        elif tokens[0] == "f":
             polygon = []
-            for index in whole([word.split("/", 1)[0] for word in words[1:]], path, line):
+            for index in whole([word.split("/", 1)[0] for word in tokens[1:]], path, line):
                 # a negative index counts back from the vertices read so far
                 polygon.append(index - 1 if index > 0 else len(vertices) + index if index < 0 else _zero(path, line))
             polygons.append((line, polygon))
             owners.append(name)
-        elif words[0] == "o":
-            name = " ".join(words[1:]) or UNNAMED
+        elif tokens[0] == "o":
+            name = " ".join(tokens[1:]) or UNNAMED
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons, declared, owners
 
 
@@ -101,26 +101,26 @@ def write_obj(vertices: np.ndarray, faces: np.ndarray) -> bytes:
 def read_off(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
     """Vertices (v, 3) float64, and (line, indices of vertices) of each polygon of an OFF file."""
     lines = text_lines(path)
-    line, words = next(lines, (1, []))
+    line, tokens = next(lines, (1, []))
     # with colours, normals and texture coordinates behind the places, in either order (MeshLab: NCOFF)
-    if not words or not re.fullmatch(r"(ST)?(C?N?|NC)OFF", words[0].upper()):
-        raise InputError(f"{path}:{line}: an OFF file begins with 'OFF', got {shown(' '.join(words[:3]))}")
-    words = words[1:]
-    if not words:
-        line, words = next(lines, (line, []))
-    counts = whole(words[:2], path, line)
+    if not tokens or not re.fullmatch(r"(ST)?(C?N?|NC)OFF", tokens[0].upper()):
+        raise InputError(f"{path}:{line}: an OFF file begins with 'OFF', got {shown(' '.join(tokens[:3]))}")
+    tokens = tokens[1:]
+    if not tokens:
+        line, tokens = next(lines, (line, []))
+    counts = whole(tokens[:2], path, line)
     if len(counts) < 2 or min(counts) < 0:
-        raise InputError(f"{path}:{line}: the numbers of vertices and faces expected, got {shown(' '.join(words))}")
+        raise InputError(f"{path}:{line}: the numbers of vertices and faces expected, got {shown(' '.join(tokens))}")
 
     vertices, polygons = [], []
-    for line, words in lines:
+    for line, tokens in lines:
         if len(vertices) < counts[0]:
-            vertices.append(point(words, path, line))
+            vertices.append(point(tokens, path, line))
         elif len(polygons) < counts[1]:
-            size = whole(words[:1], path, line)[0]
-            if size < 0 or len(words) < size + 1:
-                raise InputError(f"{path}:{line}: a face of {size} vertices expected, got {shown(' '.join(words))}")
-            polygons.append((line, whole(words[1 : size + 1], path, line)))
+            size = whole(tokens[:1], path, line)[0]
+            if size < 0 or len(tokens) < size + 1:
+                raise InputError(f"{path}:{line}: a face of {size} vertices expected, got {shown(' '.join(tokens))}")
+            polygons.append((line, whole(tokens[1 : size + 1], path, line)))
     if len(vertices) < counts[0] or len(polygons) < counts[1]:
         raise InputError(
             f"{path}:{line}: {counted(counts[0], 'vertex', 'vertices')} and {counted(counts[1], 'face')} announced, "
@@ -138,7 +138,7 @@ def write_off(vertices: np.ndarray, faces: np.ndarray) -> bytes:
 
 
 def text_lines(path: pathlib.Path, data: bytes | None = None, first: int = 1) -> Iterator[tuple[int, list[str]]]:
-    """Number, from 1, and words of each line that holds any, without comments and byte order mark; a backslash joins
+    """Number, from 1, and tokens of each line that holds any, without comments and byte order mark; a backslash joins
     lines. data: the contents from line `first` on; None reads the file."""
     if data is None:
         data = read_limited(path, "cage file", TEXT_ROOM)
@@ -150,32 +150,32 @@ def text_lines(path: pathlib.Path, data: bytes | None = None, first: int = 1) ->
             held = line[:-1] + " "
             continue
         held = ""
-        words = line.split()
-        if words:
-            yield number, words
+        tokens = line.split()
+        if tokens:
+            yield number, tokens
 
 
-def floats(words: list[str], path: pathlib.Path, line: int) -> list[float]:
-    """Words as finite numbers."""
+def floats(tokens: list[str], path: pathlib.Path, line: int) -> list[float]:
+    """Tokens as finite numbers."""
     try:
-        values = [float(word) for word in words]
+        values = [float(word) for word in tokens]
     except ValueError:
-        raise InputError(f"{path}:{line}: numbers expected, got {shown(' '.join(words))}") from None
+        raise InputError(f"{path}:{line}: numbers expected, got {shown(' '.join(tokens))}") from None
     if not np.isfinite(values).all():
-        raise InputError(f"{path}:{line}: finite numbers expected, got {shown(' '.join(words))}")
+        raise InputError(f"{path}:{line}: finite numbers expected, got {shown(' '.join(tokens))}")
     return values
 
 
-def whole(words: list[str], path: pathlib.Path, line: int) -> list[int]:
-    """Words as whole numbers."""
+def whole(tokens: list[str], path: pathlib.Path, line: int) -> list[int]:
+    """Tokens as whole numbers."""
     try:
-        return [int(word) for word in words]
+        return [int(word) for word in tokens]
     except ValueError:
-        raise InputError(f"{path}:{line}: whole numbers expected, got {shown(' '.join(words))}") from None
+        raise InputError(f"{path}:{line}: whole numbers expected, got {shown(' '.join(tokens))}") from None
 
 
-def point(words: list[str], path: pathlib.Path, line: int) -> list[float]:
-    """The first three words as finite numbers; colours and the like may follow."""
-    if len(words) < 3:
-        raise InputError(f"{path}:{line}: a vertex needs 3 numbers, got {len(words)}")
-    return floats(words[:3], path, line)
+def point(tokens: list[str], path: pathlib.Path, line: int) -> list[float]:
+    """The first three tokens as finite numbers; colours and the like may follow."""
+    if len(tokens) < 3:
+        raise InputError(f"{path}:{line}: a vertex needs 3 numbers, got {len(tokens)}")
+    return floats(tokens[:3], path, line)

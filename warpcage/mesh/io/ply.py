@@ -61,7 +61,7 @@ def _read(
     if order == "ascii":
         require_host_memory(TEXT_ROOM * len(data), f"{path}: its {len(data)} bytes of text need")
     rows = _ply_text_rows if order == "ascii" else _ply_binary_rows
-    vertices, polygons, shades, seams = None, [], None, None
+    vertices, polygons, colors, seams = None, [], None, None
     for name, properties, values in rows(path, data[body:], elements, order, body_line):
         names = [each[0] for each in properties]
         if name == "vertex":
@@ -80,7 +80,7 @@ def _read(
                 raise InputError(f"{path}: PLY faces need a list property vertex_indices, got {listed(names)}")
             polygons = [(line, [int(index) for index in row[column]]) for line, row in values]
         if name == colored and channels and set(channels) <= set(names):
-            shades = _element_colors(path, channels, name, properties, values)
+            colors = _element_colors(path, channels, name, properties, values)
     if vertices is None:
         raise InputError(f"{path}: no vertices in it")
     if seams is not None:
@@ -88,7 +88,7 @@ def _read(
         count = len(vertices)
         polygons = [(line, [int(number[k]) if 0 <= k < count else k for k in polygon]) for line, polygon in polygons]
         vertices = vertices[kept]
-    return vertices, polygons, shades
+    return vertices, polygons, colors
 
 
 #: Properties of a vertex by which programs split it, along seams and at sharp edges: texture coordinates and normals.
@@ -139,26 +139,26 @@ def ply_header(path: pathlib.Path, data: bytes) -> tuple[str, list[Element], int
     order, elements, position = None, [], 0
     for line in range(1, data.count(b"\n") + 2):
         end = data.find(b"\n", position)
-        words = data[position : len(data) if end < 0 else end].decode("ascii", errors="replace").split()
+        tokens = data[position : len(data) if end < 0 else end].decode("ascii", errors="replace").split()
         position = len(data) if end < 0 else end + 1
-        if line == 1 and words != ["ply"]:
+        if line == 1 and tokens != ["ply"]:
             raise InputError(f"{path}:1: a PLY file begins with 'ply'")
-        if words[:1] == ["format"]:
+        if tokens[:1] == ["format"]:
             orders = {"ascii": "ascii", "binary_little_endian": "<", "binary_big_endian": ">"}
-            if len(words) < 2 or words[1] not in orders:
-                raise InputError(f"{path}:{line}: unknown PLY format {shown(' '.join(words[1:]))}")
-            order = orders[words[1]]
-        elif words[:1] == ["element"]:
-            if len(words) != 3 or not words[2].isdigit() or len(words[2]) > 18:
-                raise InputError(f"{path}:{line}: an element needs a name and a count, got {shown(' '.join(words))}")
-            elements.append((words[1], int(words[2]), []))
-        elif words[:1] == ["property"]:
-            listed = words[1:2] == ["list"]
-            kinds = [_PLY_TYPES.get(word) for word in (words[2:4] if listed else words[1:2])]
-            if len(words) != (5 if listed else 3) or None in kinds or not elements:
-                raise InputError(f"{path}:{line}: cannot read PLY property {shown(' '.join(words))}")
-            elements[-1][2].append((words[-1], tuple(kinds) if listed else kinds[0]))
-        elif words[:1] == ["end_header"]:
+            if len(tokens) < 2 or tokens[1] not in orders:
+                raise InputError(f"{path}:{line}: unknown PLY format {shown(' '.join(tokens[1:]))}")
+            order = orders[tokens[1]]
+        elif tokens[:1] == ["element"]:
+            if len(tokens) != 3 or not tokens[2].isdigit() or len(tokens[2]) > 18:
+                raise InputError(f"{path}:{line}: an element needs a name and a count, got {shown(' '.join(tokens))}")
+            elements.append((tokens[1], int(tokens[2]), []))
+        elif tokens[:1] == ["property"]:
+            listed = tokens[1:2] == ["list"]
+            kinds = [_PLY_TYPES.get(word) for word in (tokens[2:4] if listed else tokens[1:2])]
+            if len(tokens) != (5 if listed else 3) or None in kinds or not elements:
+                raise InputError(f"{path}:{line}: cannot read PLY property {shown(' '.join(tokens))}")
+            elements[-1][2].append((tokens[-1], tuple(kinds) if listed else kinds[0]))
+        elif tokens[:1] == ["end_header"]:
             if order is None:
                 raise InputError(f"{path}:{line}: the PLY header names no format")
             return order, elements, position, line + 1
@@ -175,12 +175,12 @@ def _ply_text_rows(
             found = next(lines, None)
             if found is None:
                 raise InputError(f"{path}: {count} PLY elements {name!r} announced, {len(rows)} found")
-            (line, words), row, position = found, [], 0
+            (line, tokens), row, position = found, [], 0
             for _, kind in properties:
-                size = whole(words[position : position + 1], path, line) if isinstance(kind, tuple) else None
+                size = whole(tokens[position : position + 1], path, line) if isinstance(kind, tuple) else None
                 position += size is not None
                 taken = 1 if size is None else (size or [0])[0]
-                values = floats(words[position : position + taken], path, line)
+                values = floats(tokens[position : position + taken], path, line)
                 if len(values) < taken or size == []:
                     raise InputError(f"{path}:{line}: too few numbers for a PLY {name}")
                 position += taken
@@ -232,10 +232,10 @@ def write_ply(
     vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None, *, comment: str = "cage"
 ) -> bytes:
     """A binary PLY file with vertices (v, 3) in float64, and colours (v, 3) uint8 where they are given."""
-    shades = "" if colors is None else "".join(f"property uchar {name}\n" for name in CHANNELS)
+    channels = "" if colors is None else "".join(f"property uchar {name}\n" for name in CHANNELS)
     header = (
         f"ply\nformat binary_little_endian 1.0\ncomment {comment}\n"
-        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n{shades}"
+        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n{channels}"
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     rows = np.zeros(len(faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])

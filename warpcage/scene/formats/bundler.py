@@ -13,8 +13,8 @@ import numpy as np
 from ...core.checks import shown, warn_caller
 from ...errors import InputError, MissingFileError
 from ..box import Bounds
-from ..parsing import TO_OPENCV, PictureFinder, floats, held_out, pictures_in, read_text
-from ..pictures import files_of, make_scene, views_there
+from ..parsing import TO_OPENCV, PictureFinder, first_with, floats, pictures_in, read_text
+from ..pictures import listed_scene
 from ..scene import Scene
 from ..sizes import View
 
@@ -35,13 +35,7 @@ def is_scene(folder: pathlib.Path) -> bool:
 
 def _output(folder: pathlib.Path) -> pathlib.Path | None:
     """The first file that begins as outputs of Bundler do."""
-    for place in (folder, folder / "bundle"):
-        for path in sorted(place.glob("*.out")):
-            if path.is_file():
-                with path.open("rb") as opened:
-                    if b"Bundle file" in opened.read(40):
-                        return path
-    return None
+    return first_with([*sorted(folder.glob("*.out")), *sorted(folder.glob("bundle/*.out"))], 40, b"Bundlefile")
 
 
 def read(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
@@ -53,16 +47,16 @@ def read(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     head, _, text = read_text(path, "Bundler file").partition("\n")
     if head.strip() != HEADER:
         raise InputError(f"{path} must begin with {HEADER!r}, got {shown(head)}")
-    words = text.split()
-    counts = [int(value) for value in floats(" ".join(words[:2]), str(path))]
+    tokens = text.split()
+    counts = [int(value) for value in floats(" ".join(tokens[:2]), str(path))]
     count, point_count = counts if len(counts) == 2 else (0, 0)
-    if count < 1 or point_count < 0 or 2 + CAMERA * count + 7 * point_count > len(words):
-        raise InputError(f"{path} announces {count} cameras and {point_count} points, and holds {len(words)} numbers")
+    if count < 1 or point_count < 0 or 2 + CAMERA * count + 7 * point_count > len(tokens):
+        raise InputError(f"{path} announces {count} cameras and {point_count} points, and holds {len(tokens)} numbers")
     finder = PictureFinder(folder, ("", "images"))
     views, left_out = [], 0
     for index, file in enumerate(_pictures(folder, path, finder, count)):
         where = f"{path}: camera {index}"
-        values = floats(" ".join(words[2 + CAMERA * index :][:CAMERA]), where)
+        values = floats(" ".join(tokens[2 + CAMERA * index :][:CAMERA]), where)
         if values[0] == 0.0:  # a picture that found no place
             left_out += 1
         else:
@@ -71,11 +65,8 @@ def read(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
         raise InputError(f"{path} has no camera with a focal length")
     if left_out:
         warn_caller(f"{path}: {left_out} of {count} pictures have no camera and are left out")
-    views = sorted(views_there(views, path), key=lambda view: str(view.file))
-    finder.tell(path)
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
-    places, colors = _points(words, 2 + CAMERA * count, point_count, path)
-    return make_scene(folder, chosen, **options, beside=files_of(views), points=places, point_colors=colors)
+    places, colors = _points(tokens, 2 + CAMERA * count, point_count, path)
+    return listed_scene(folder, views, split, path, finder, **options, points=places, point_colors=colors)
 
 
 def _pictures(folder: pathlib.Path, path: pathlib.Path, finder: PictureFinder, count: int) -> list[pathlib.Path]:
@@ -111,13 +102,13 @@ def _view(file: pathlib.Path, values: list[float], where: str) -> View:
     return View(file, pose, where, lambda size: (focal, focal, size[0] / 2, size[1] / 2), distortion=(k1, k2, 0.0, 0.0))
 
 
-def _points(words: list[str], place: int, count: int, path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
+def _points(tokens: list[str], place: int, count: int, path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) and their colours (n, 3) in [0, 1]; behind each stands a list of its pictures."""
     places, colors = np.empty((count, 3)), np.empty((count, 3), np.float32)
     for index in range(count):
         where = f"{path}: point {index}"
-        values = floats(" ".join(words[place : place + 7]), where)
-        if len(values) < 7 or not 0 <= values[6] <= len(words):
+        values = floats(" ".join(tokens[place : place + 7]), where)
+        if len(values) < 7 or not 0 <= values[6] <= len(tokens):
             raise InputError(f"{where}: a place, a colour and a list of pictures expected, the file ends before")
         places[index], colors[index] = values[:3], values[3:6]
         place += 7 + 4 * int(values[6])

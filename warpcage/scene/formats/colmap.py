@@ -20,8 +20,8 @@ from ...errors import InputError, MissingFileError
 from ...view.pictures import image_size
 from ..box import Bounds
 from ..lenses import Lens, all_around
-from ..parsing import DYNAMIC_MASK, PictureFinder, chosen_part, floats, held_out, inside, is_file, read_text
-from ..pictures import COEFFICIENTS, files_of, make_scene, views_there
+from ..parsing import DYNAMIC_MASK, PictureFinder, chosen_part, floats, inside, is_file, read_text
+from ..pictures import COEFFICIENTS, listed_scene, views_there
 from ..scene import Scene
 from ..sizes import View
 
@@ -140,9 +140,9 @@ def _lines(path: pathlib.Path):
             yield line, text.strip()
 
 
-def _whole(word: str, where: str) -> int:
+def _whole(token: str, where: str) -> int:
     try:
-        return int(word)
+        return int(token)
     except ValueError as error:
         raise InputError(f"{where}: {error_line(error, 300)}") from error
 
@@ -150,42 +150,42 @@ def _whole(word: str, where: str) -> int:
 def _cameras_txt(path: pathlib.Path) -> dict[int, ModelCamera]:
     cameras = {}
     for line, text in _lines(path):
-        where, words = f"{path}:{line}", text.split()
-        if not words:
+        where, tokens = f"{path}:{line}", text.split()
+        if not tokens:
             continue
-        if len(words) < 5:
+        if len(tokens) < 5:
             raise InputError(f"{where}: CAMERA_ID MODEL WIDTH HEIGHT PARAMS expected, got {text[:60]!r}")
-        number, width, height = (_whole(words[index], where) for index in (0, 2, 3))
-        cameras[number] = ModelCamera(words[1], (width, height), floats(" ".join(words[4:]), where))
+        number, width, height = (_whole(tokens[index], where) for index in (0, 2, 3))
+        cameras[number] = ModelCamera(tokens[1], (width, height), floats(" ".join(tokens[4:]), where))
     return cameras
 
 
 def _images_txt(path: pathlib.Path) -> list[ModelImage]:
     images, is_open = [], False  # whether the keypoints of the last image may follow, which some programs leave out
     for line, text in _lines(path):
-        words = text.split(maxsplit=9)
-        if is_open and not _is_image(words):
+        tokens = text.split(maxsplit=9)
+        if is_open and not _is_image(tokens):
             is_open = False
             continue
-        if not words:
+        if not tokens:
             continue
         where = f"{path}:{line}"
-        if len(words) < 10:
+        if len(tokens) < 10:
             raise InputError(f"{where}: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME expected, got {text[:60]!r}")
-        values = floats(" ".join(words[1:8]), where)
-        images.append(ModelImage(words[9], tuple(values[:4]), tuple(values[4:]), _whole(words[8], where)))
+        values = floats(" ".join(tokens[1:8]), where)
+        images.append(ModelImage(tokens[9], tuple(values[:4]), tuple(values[4:]), _whole(tokens[8], where)))
         is_open = True
     return images
 
 
-def _is_image(words: list[str]) -> bool:
-    """Whether the words of a line, the rest in the tenth, are those of an image, and not keypoints: X Y POINT3D_ID."""
-    if len(words) < 10 or not (words[0].isdigit() and words[8].isdigit()):
+def _is_image(tokens: list[str]) -> bool:
+    """Whether the tokens of a line, the rest in the tenth, are those of an image, not keypoints: X Y POINT3D_ID."""
+    if len(tokens) < 10 or not (tokens[0].isdigit() and tokens[8].isdigit()):
         return False
-    rest = words[9].split()
+    rest = tokens[9].split()
     try:
-        for word in rest[:3]:
-            float(word)
+        for token in rest[:3]:
+            float(token)
     except ValueError:
         return True
     return (9 + len(rest)) % 3 != 0  # a name of digits alone
@@ -194,17 +194,17 @@ def _is_image(words: list[str]) -> bool:
 def _points_txt(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray | None]:
     points, colors, has_colors = array.array("d"), array.array("d"), True  # lists would take four times the memory
     for line, text in _lines(path):
-        where, words = f"{path}:{line}", text.split(maxsplit=7)
-        if not words:
+        where, tokens = f"{path}:{line}", text.split(maxsplit=7)
+        if not tokens:
             continue
-        if len(words) < 4:
+        if len(tokens) < 4:
             raise InputError(f"{where}: POINT3D_ID X Y Z expected, got {text[:60]!r}")
-        points.extend(floats(" ".join(words[1:4]), where))
-        has_colors = has_colors and len(words) >= 7
+        points.extend(floats(" ".join(tokens[1:4]), where))
+        has_colors = has_colors and len(tokens) >= 7
         if has_colors:
-            color = floats(" ".join(words[4:7]), where)
+            color = floats(" ".join(tokens[4:7]), where)
             if min(color) < 0 or max(color) > 255:
-                raise InputError(f"{where}: R G B must lie in 0 to 255, got {' '.join(words[4:7])[:60]!r}")
+                raise InputError(f"{where}: R G B must lie in 0 to 255, got {' '.join(tokens[4:7])[:60]!r}")
             colors.extend(color)
     places = np.array(points, np.float64).reshape(-1, 3)
     return places, (np.array(colors) / 255.0).astype(np.float32).reshape(-1, 3) if has_colors else None
@@ -323,8 +323,8 @@ def _has_model(folder: pathlib.Path) -> bool:
 
 
 def _chosen_model(folder: pathlib.Path, wanted: str | None) -> pathlib.Path:
-    """The folder of the model that was asked for; or of the one with most pictures, in the first of MODEL_FOLDERS with
-    models for pictures of the sizes that are there. Others are told of."""
+    """The folder of the wanted model; or of the one with most pictures, in the first of MODEL_FOLDERS with models for
+    pictures of the sizes that are there, and a warning that names the others."""
     groups = list(_models(folder))
     if not groups:
         raise MissingFileError(f"{str(folder)!r} holds no COLMAP model ({MARK})")
@@ -369,21 +369,20 @@ def _fitting_count(folder: pathlib.Path, home: str, model: Model) -> int:
 def read(folder: pathlib.Path, *, split: str, model: str | None = None, **options: Any) -> Scene:
     """Read a split: every eighth image, by name, is `test`, the others are `train`. Options as for `load_scene`."""
     found = read_model(_chosen_model(folder, model))
-    _tell_of_text(found)
+    _warn_of_text_files(found)
     if not found.images:
         raise InputError(f"{found.images_path} holds no images")
     finder = PictureFinder(folder, _picture_folders(folder, found))
     views = [_view(finder, found, image) for image in found.images]
-    views = sorted(views_there(views, found.images_path), key=lambda view: str(view.file))
-    finder.tell(found.images_path)
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
-    options |= {"points": found.points, "point_colors": found.colors, "beside": files_of(views)}
-    scene = make_scene(folder, chosen, **options)  # which looks at whether they lie within the folder
-    _tell_of_others(views, found.images_path)
+    views = views_there(views, found.images_path)
+    options |= {"points": found.points, "point_colors": found.colors}
+    # which looks at whether they lie within the folder
+    scene = listed_scene(folder, views, split, found.images_path, finder, **options)
+    _warn_of_unlisted(views, found.images_path)
     return scene
 
 
-def _tell_of_others(views: list[View], path: pathlib.Path) -> None:
+def _warn_of_unlisted(views: list[View], path: pathlib.Path) -> None:
     """Warn of pictures beside those of a model that it has no camera for."""
     known = {(view.file.parent, view.file.stem) for view in views}
     endings = {view.file.suffix.lower() for view in views}
@@ -403,7 +402,7 @@ def _tell_of_others(views: list[View], path: pathlib.Path) -> None:
         )
 
 
-def _tell_of_text(model: Model) -> None:
+def _warn_of_text_files(model: Model) -> None:
     """Warn where text files beside the binary ones that are read, as COLMAP does too, say something else."""
     cameras, images = (path.with_suffix(".txt") for path in (model.cameras_path, model.images_path))
     if model.cameras_path.suffix == ".txt" or not (cameras.is_file() and images.is_file()):

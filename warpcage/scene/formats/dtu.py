@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.files import read_npz
+from ...core.npz import read_npz
 from ...errors import InputError
 from ..parsing import held_out, pictures_in
 from ..pictures import make_scene

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.files import NpyFile
+from ...core.npz import NpyFile
 from ...errors import InputError, MissingFileError
 from ..lenses import Intrinsics
 from ..parsing import held_out, numbered_folders, pictures_in

@@ -18,8 +18,8 @@ from ...core.names import error_line
 from ...errors import InputError, MissingFileError
 from ..box import Bounds
 from ..lenses import Lens, all_around
-from ..parsing import PictureFinder, chosen_part, floats, held_out, picture_size
-from ..pictures import files_of, make_scene, views_there
+from ..parsing import PictureFinder, chosen_part, first_with, floats, picture_size
+from ..pictures import listed_scene
 from ..scene import Scene
 from ..sizes import View
 
@@ -43,13 +43,8 @@ def is_scene(folder: pathlib.Path) -> bool:
 
 def _listing(folder: pathlib.Path) -> pathlib.Path | None:
     """cameras.xml, or the first other .xml file that begins as Metashape's do."""
-    for path in sorted(folder.glob("*.xml"), key=lambda path: (path.name != "cameras.xml", path.name)):
-        if path.is_file():
-            with path.open("rb") as opened:
-                head = opened.read(4096)
-            if b"<document" in head and b"<chunk" in head:
-                return path
-    return None
+    paths = sorted(folder.glob("*.xml"), key=lambda path: (path.name != "cameras.xml", path.name))
+    return first_with(paths, 4096, b"<document", b"<chunk")
 
 
 @dataclasses.dataclass
@@ -72,10 +67,7 @@ def read(folder: pathlib.Path, *, split: str, model: str | None = None, **option
     chunk = _chosen(path, model)
     finder = PictureFinder(folder, ("images", ""))
     views = [_view(finder, chunk, camera) for camera in chunk.cameras]
-    views = sorted(views_there(views, path), key=lambda view: str(view.file))
-    finder.tell(path)
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, chosen, **options, beside=files_of(views))
+    return listed_scene(folder, views, split, path, finder, **options)
 
 
 def _document(path: pathlib.Path) -> ET.Element:
@@ -89,7 +81,7 @@ def _document(path: pathlib.Path) -> ET.Element:
 
 
 def _chosen(path: pathlib.Path, model: str | None) -> _Chunk:
-    """The chunk of a label, or the one with most cameras; other chunks, and cameras without a place, are told of."""
+    """The chunk of a label, or the one with most cameras; it warns of others, and of cameras without a place."""
     chunks = {each.get("label", str(index)): each for index, each in enumerate(_document(path).iter("chunk"))}
     placed = {name: [each for each in _cameras(chunk) if _is_placed(each)] for name, chunk in chunks.items()}
     if not any(placed.values()):

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import shown
+from ...core.checks import checked_number, shown
 from ...errors import InputError
 from ..box import Bounds
 from ..lenses import Lens, all_around
-from ..parsing import PictureFinder, chosen_part, held_out, number, picture_size, read_json
-from ..pictures import files_of, make_scene, views_there
+from ..parsing import PictureFinder, chosen_part, numbers, picture_size, read_json
+from ..pictures import listed_scene
 from ..scene import Scene
 from ..sizes import View
 
@@ -38,15 +38,12 @@ def read(folder: pathlib.Path, *, split: str, model: str | None = None, **option
         raise InputError(f"{path}: a reconstruction needs cameras and shots")
     finder = PictureFinder(folder, ("images", ""))
     views = [_view(finder, cameras, name, shots[name], f"{path}: shot {shown(name)}") for name in sorted(shots)]
-    views = sorted(views_there(views, path), key=lambda view: str(view.file))
-    finder.tell(path)
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
     places, colors = _points(found.get("points"), path)
-    return make_scene(folder, chosen, **options, beside=files_of(views), points=places, point_colors=colors)
+    return listed_scene(folder, views, split, path, finder, **options, points=places, point_colors=colors)
 
 
 def _chosen(content: list, path: pathlib.Path, model: str | None) -> dict:
-    """The reconstruction of a number, or the one with most shots; others are told of."""
+    """The reconstruction of a number, or the one with most shots and a warning that names others."""
     if not content or not all(isinstance(each, dict) for each in content):
         raise InputError(f"{path} must hold a list of reconstructions")
     counts = {
@@ -66,9 +63,9 @@ def _view(finder: PictureFinder, cameras: dict, name: str, shot: object, where: 
     if not isinstance(given, dict):
         raise InputError(f"{where} has camera {shown(shot.get('camera'))}, which the file lacks")
     to_camera = np.eye(4)
-    to_camera[:3, :3] = Rotation.from_rotvec(_vector(shot, "rotation", where)).as_matrix()
-    to_camera[:3, 3] = _vector(shot, "translation", where)
-    width, height = (number(given.get(side), f"{where}: {side} of its camera") for side in ("width", "height"))
+    to_camera[:3, :3] = Rotation.from_rotvec(numbers(shot.get("rotation"), 3, f"{where}: rotation")).as_matrix()
+    to_camera[:3, 3] = numbers(shot.get("translation"), 3, f"{where}: translation")
+    width, height = (checked_number(given.get(side), f"{where}: {side} of its camera") for side in ("width", "height"))
     size = picture_size(width, height, f"{where}: its camera")
     longer = max(width, height)
 
@@ -76,7 +73,7 @@ def _view(finder: PictureFinder, cameras: dict, name: str, shot: object, where: 
         there = next((each for each in names if given.get(each) is not None), None)
         if there is None and default is not None:
             return default
-        return number(given.get(there or names[0]), f"{where}: {there or names[0]} of its camera")
+        return checked_number(given.get(there or names[0]), f"{where}: {there or names[0]} of its camera")
 
     kind = given.get("projection_type", "perspective")
     if not isinstance(kind, str) or kind not in KINDS:
@@ -119,13 +116,6 @@ KINDS = {
 }
 
 
-def _vector(values: dict, name: str, where: str) -> list[float]:
-    found = values.get(name)
-    if not isinstance(found, list) or len(found) != 3:
-        raise InputError(f"{where}: {name} must hold 3 numbers, got {shown(found)}")
-    return [number(each, f"{where}: {name}") for each in found]
-
-
 def _points(points: object, path: pathlib.Path) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Points (n, 3) and their colours (n, 3) in [0, 1]; None where there are none."""
     if not isinstance(points, dict) or not points:
@@ -135,10 +125,10 @@ def _points(points: object, path: pathlib.Path) -> tuple[np.ndarray | None, np.n
         where = f"{path}: point {shown(name)}"
         if not isinstance(point, dict):
             raise InputError(f"{where} must be a JSON object, got {shown(point)}")
-        places.append(_vector(point, "coordinates", where))
+        places.append(numbers(point.get("coordinates"), 3, f"{where}: coordinates"))
         if point.get("color") is not None:
-            colors.append(_vector(point, "color", where))
+            colors.append(numbers(point.get("color"), 3, f"{where}: color"))
             if min(colors[-1]) < 0 or max(colors[-1]) > 255:
                 raise InputError(f"{where}: color must lie in 0 to 255, got {shown(point['color'])}")
-    shades = (np.array(colors) / 255).astype(np.float32) if len(colors) == len(places) else None
-    return np.array(places), shades
+    rgb = (np.array(colors) / 255).astype(np.float32) if len(colors) == len(places) else None
+    return np.array(places), rgb

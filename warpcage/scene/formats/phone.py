@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import bisect
-import csv
 import pathlib
 from typing import Any, TypeVar
 
 import numpy as np
 
-from ...core.checks import listed, shown
+from ...core.checks import checked_number, listed
 from ...errors import InputError, MissingFileError
 from ...mesh.io.ply import read_ply_points
 from ..box import Bounds
@@ -19,15 +18,15 @@ from ..parsing import (
     chosen_part,
     evenly,
     floats,
-    held_out,
     is_file,
-    number,
+    numbers,
     picture_size,
     pictures_in,
     read_json,
     read_text,
+    table_rows,
 )
-from ..pictures import files_of, make_scene, views_there
+from ..pictures import held_out_scene, views_there
 from ..scene import Scene
 from ..sizes import View
 from .colmap import ModelImage
@@ -50,8 +49,7 @@ def read_polycam(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     if not views:
         raise InputError(f"{keyframes} holds no cameras/ (.json) beside images/, and no corrected_ ones")
     views = views_there(views, keyframes)
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, chosen, **options, beside=files_of(views), to_source=np.linalg.inv(TO_Z_UP))
+    return held_out_scene(folder, views, split, **options, to_source=np.linalg.inv(TO_Z_UP))
 
 
 def _polycam_views(keyframes: pathlib.Path, kind: str) -> list[View]:
@@ -64,19 +62,23 @@ def _polycam_view(file: pathlib.Path, images: pathlib.Path) -> View:
     given = read_json(file)
 
     def value(name: str) -> float:
-        return number(given.get(name), f"{file}: {name}")
+        return checked_number(given.get(name), f"{file}: {name}")
 
     pose = np.eye(4)
     pose[:3] = [[value(f"t_{row}{column}") for column in range(4)] for row in range(3)]
-    candidates = [images / (file.stem + ending) for ending in (".jpg", *PICTURE_ENDINGS)]
-    picture = next((candidate for candidate in candidates if is_file(candidate)), candidates[0])
     return View(
-        picture,
+        _picture(images, file.stem),
         TO_Z_UP @ pose @ TO_OPENCV,
         str(file),
         (value("fx"), value("fy"), value("cx"), value("cy")),
         picture_size(value("width"), value("height"), str(file)),
     )
+
+
+def _picture(images: pathlib.Path, stem: str) -> pathlib.Path:
+    """The picture of a name without ending, a .jpg where none is there."""
+    candidates = [images / (stem + ending) for ending in (".jpg", *PICTURE_ENDINGS)]
+    return next(filter(is_file, candidates), candidates[0])
 
 
 RECORD3D_MARK = "metadata or metadata.json with poses, beside rgb/ or rgbd/"
@@ -98,18 +100,11 @@ def read_record3d(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
         raise InputError(f"{path} holds no poses")
     images = folder / ("rgb" if (folder / "rgb").is_dir() else "rgbd")
     views = views_there([_record3d_view(path, images, given, poses, index) for index in evenly(len(poses))], path)
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, chosen, **options, beside=files_of(views), to_source=np.linalg.inv(TO_Z_UP))
+    return held_out_scene(folder, views, split, **options, to_source=np.linalg.inv(TO_Z_UP))
 
 
 def _metadata(folder: pathlib.Path) -> pathlib.Path | None:
     return next((folder / name for name in ("metadata.json", "metadata") if is_file(folder / name)), None)
-
-
-def _numbers(value: object, count: int, where: str) -> list[float]:
-    if not isinstance(value, list) or len(value) != count:
-        raise InputError(f"{where} must hold {count} numbers, got {shown(value)}")
-    return [number(each, where) for each in value]
 
 
 def _pose(quaternion: list[float], place: list[float], where: str) -> np.ndarray:
@@ -124,17 +119,16 @@ def _pose(quaternion: list[float], place: list[float], where: str) -> np.ndarray
 def _record3d_view(path: pathlib.Path, images: pathlib.Path, given: dict, poses: list, index: int) -> View:
     """One picture with its camera."""
     where = f"{path}: picture {index}"
-    values = _numbers(poses[index], 7, f"{path}: poses[{index}]")
+    values = numbers(poses[index], 7, f"{path}: poses[{index}]")
     pose = _pose(values[:4], values[4:], where)
     each = given.get("perFrameIntrinsicCoeffs")
     if isinstance(each, list) and len(each) == len(poses):
-        fx, fy, cx, cy = _numbers(each[index], 4, f"{path}: perFrameIntrinsicCoeffs[{index}]")
+        fx, fy, cx, cy = numbers(each[index], 4, f"{path}: perFrameIntrinsicCoeffs[{index}]")
     else:
-        matrix = _numbers(given.get("K"), 9, f"{path}: K")
+        matrix = numbers(given.get("K"), 9, f"{path}: K")
         fx, fy, cx, cy = matrix[0], matrix[4], matrix[6], matrix[7]
-    candidates = [images / f"{index}{ending}" for ending in (".jpg", *PICTURE_ENDINGS)]
-    picture = next((candidate for candidate in candidates if is_file(candidate)), candidates[0])
-    width, height = (number(given.get(side), f"{path}: {side}") for side in "wh")
+    width, height = (checked_number(given.get(side), f"{path}: {side}") for side in "wh")
+    picture = _picture(images, str(index))
     return View(picture, TO_Z_UP @ pose @ TO_OPENCV, where, (fx, fy, cx, cy), picture_size(width, height, str(path)))
 
 
@@ -187,21 +181,20 @@ def read_arkitscenes(folder: pathlib.Path, *, split: str, model: str | None = No
         raise InputError(f"{path} has no pose at the time of a picture in {homes[name]} that has intrinsics (.pincam)")
     taken = [found[index] for index in evenly(len(found))]
     views = [_pincam_view(file, pose, lens, bounds) for file, pose, lens in taken]
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
     points = colors = None
     mesh = next(iter(sorted(folder.glob("*_mesh.ply"))), None)
     if mesh is not None:
         points, colors = read_ply_points(bounds.require(mesh, str(folder)))
-    return make_scene(folder, chosen, **options, beside=files_of(views), points=points, point_colors=colors)
+    return held_out_scene(folder, views, split, **options, points=points, point_colors=colors)
 
 
 def _timed(files: list[pathlib.Path]) -> dict[float, pathlib.Path]:
     """Files by the times, seconds, that their names end in; those of other names are left out."""
     found = {}
     for file in files:
-        word = file.stem.rpartition("_")[2]
-        if word.replace(".", "", 1).isdecimal():
-            found[float(word)] = file
+        time = file.stem.rpartition("_")[2]
+        if time.replace(".", "", 1).isdecimal():
+            found[float(time)] = file
     return dict(sorted(found.items()))
 
 
@@ -279,23 +272,15 @@ def read_stray(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
         x, y, z, *turn = rows[frame]
         pose = TO_Z_UP @ _pose(turn, [x, y, z], where)
         views.append(View(files[frame], pose, where, (matrix[0], matrix[4], matrix[2], matrix[5])))
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, chosen, **options, beside=files_of(views), to_source=np.linalg.inv(TO_Z_UP))
+    return held_out_scene(folder, views, split, **options, to_source=np.linalg.inv(TO_Z_UP))
 
 
 def _stray_rows(path: pathlib.Path) -> dict[int, list[float]]:
     """Place and quaternion x y z w by the numbers of frames."""
-    rows = csv.reader(read_text(path, "odometry").splitlines(), skipinitialspace=True)
-    head = [word.strip() for word in next(rows, [])]
-    missing = [name for name in STRAY_COLUMNS if name not in head]
-    if missing:
-        raise InputError(f"{path} lacks the columns {listed(missing)}, which its first line must name")
     found = {}
-    for row in filter(None, rows):
-        where = f"{path}:{rows.line_num}"
-        values = dict(zip(head, row, strict=False))
-        numbers = floats(" ".join(values.get(name, "") for name in STRAY_COLUMNS), where)
-        if len(numbers) != len(STRAY_COLUMNS):
-            raise InputError(f"{where}: {len(head)} values expected, as in the first line, got {shown(','.join(row))}")
-        found[int(numbers[0])] = numbers[1:]
+    for where, row in table_rows(path, "odometry", STRAY_COLUMNS):
+        values = floats(" ".join(row[name] for name in STRAY_COLUMNS), where)
+        if len(values) != len(STRAY_COLUMNS):
+            raise InputError(f"{where}: each column must hold one number")
+        found[int(values[0])] = values[1:]
     return found

@@ -5,18 +5,16 @@
 
 from __future__ import annotations
 
-import csv
 import pathlib
 from typing import Any
 
 import numpy as np
 
-from ...core.checks import listed, shown
 from ...errors import InputError, MissingFileError
 from ..box import Bounds
 from ..lenses import Intrinsics, Lens
-from ..parsing import TO_OPENCV, PictureFinder, floats, held_out, read_text
-from ..pictures import files_of, make_scene, views_there
+from ..parsing import TO_OPENCV, PictureFinder, first_with, floats, table_rows
+from ..pictures import listed_scene
 from ..scene import Scene
 from ..sizes import Size, View
 
@@ -36,13 +34,7 @@ def is_scene(folder: pathlib.Path) -> bool:
 
 
 def _table(folder: pathlib.Path) -> pathlib.Path | None:
-    """The first file that begins as these do."""
-    for path in sorted(folder.glob("*.csv")):
-        if path.is_file():
-            with path.open("rb") as opened:
-                if b"#name,x,y,alt,heading" in opened.read(200).replace(b" ", b""):
-                    return path
-    return None
+    return first_with(sorted(folder.glob("*.csv")), 200, b"#name,x,y,alt,heading")
 
 
 def read(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
@@ -51,24 +43,11 @@ def read(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     if path is None:
         raise MissingFileError(f"{str(folder)!r} holds no camera parameters of RealityScan ({MARK})")
     Bounds(folder).require(path, str(folder))
-    rows = csv.reader(read_text(path, "table of cameras").splitlines(), skipinitialspace=True)
-    head = [word.strip() for word in next(rows)]
-    missing = [name for name in ("#name", *NEEDED) if name not in head]
-    if missing:
-        raise InputError(f"{path} lacks the columns {listed(missing)}")
     finder = PictureFinder(folder, ("images", ""))
-    views = []
-    for row in filter(None, rows):
-        where = f"{path}:{rows.line_num}"
-        if len(row) < len(head):
-            raise InputError(f"{where}: {len(head)} values expected, as in the first line, got {shown(','.join(row))}")
-        views.append(_view(finder, dict(zip(head, row, strict=False)), where))
+    views = [_view(finder, row, where) for where, row in table_rows(path, "table of cameras", ("#name", *NEEDED))]
     if not views:
         raise InputError(f"{path} has no camera")
-    views = sorted(views_there(views, path), key=lambda view: str(view.file))
-    finder.tell(path)
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, chosen, **options, beside=files_of(views))
+    return listed_scene(folder, views, split, path, finder, **options)
 
 
 def _view(finder: PictureFinder, row: dict[str, str], where: str) -> View:

@@ -1,4 +1,4 @@
-"""The formats of scenes in one table: how each is called, told from others, and read."""
+"""The formats of scenes in one table: the name, the test and the reader of each."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class SceneFormat:
     is_scene: Callable[[pathlib.Path], bool]  # whether a folder is one; quick, as every folder is asked
     # of a folder, and of split, downscale, background (3,) and masks by name, as `load_scene` has them
     read: Callable[..., Scene]
-    options: tuple[str, ...] = ()  # names of other options of `load_scene` that `read` takes: "model" alone
+    options: tuple[str, ...] = ()  # names of other options of `load_scene` that `read` takes: "model" and "progress"
     round_bounds: bool = False  # whether bounds are those of a ball around the origin
 
 
@@ -36,9 +36,13 @@ def _read_output(folder: pathlib.Path, **options: Any) -> Scene:
     return splatting.read(folder, formats=candidates(), **options)
 
 
+def _with_progress(format: SceneFormat) -> SceneFormat:
+    return dataclasses.replace(format, options=(*format.options, "progress"))
+
+
 #: All that warpcage knows by itself, in the order in which they are tried: Nerfies before Record3D, which has a
 #: metadata.json beside rgb/ too.
-BUILT_IN = (
+BUILT_IN = tuple(map(_with_progress, (
     SceneFormat("blender", transforms.BLENDER_MARK, transforms.is_blender, transforms.read_blender),
     SceneFormat("nsvf", nsvf.MARK, nsvf.is_scene, nsvf.read),
     SceneFormat("dtu", dtu.MARK, dtu.is_scene, dtu.read, round_bounds=True),
@@ -59,7 +63,7 @@ BUILT_IN = (
     SceneFormat("blendedmvs", views.BLENDEDMVS_MARK, views.is_blendedmvs, views.read_blendedmvs),
     SceneFormat("nerfpp", views.NERFPP_MARK, views.is_nerfpp, views.read_nerfpp),
     SceneFormat(splatting.NAME, splatting.MARK, splatting.is_output, _read_output),
-)
+)))  # fmt: skip
 
 
 def scene_formats() -> tuple[SceneFormat, ...]:
@@ -96,5 +100,5 @@ def format_named(name: str) -> SceneFormat:
 
 
 def format_lines() -> list[str]:
-    """Each format in words: its name, and what a folder of it holds."""
+    """A line for each format: its name, and what a folder of it holds."""
     return [f"{each.name}: {each.mark}" for each in candidates()]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import listed, shown
+from ...core.checks import checked_number, listed, shown
 from ...core.files import PathLike, require_file
 from ...errors import InputError, MissingFileError
 from ...mesh.io.ply import read_ply_points
@@ -26,7 +26,6 @@ from ..parsing import (
     matrix,
     missing_split,
     names_apart,
-    number,
     picture_size,
     read_json,
     split_file,
@@ -58,7 +57,7 @@ MATRICES = ("K", "camera_matrix", "intrinsic_matrix", "intrinsics", "intrinsic",
 
 
 def _says_intrinsics(content: dict) -> bool:
-    """Whether a file, or its first frame, says more of the cameras than an angle of view."""
+    """Whether a file, or its first frame, has more intrinsics than an angle of view."""
     frames = content.get("frames")
     first = frames[0] if isinstance(frames, list) and frames else None
     levels = [content, first] if isinstance(first, dict) else [content]
@@ -78,7 +77,7 @@ def _matrix_rows(values: dict) -> tuple[str, list] | None:
 
 
 def _given(transforms: dict, frame: dict, where: str) -> dict:
-    """What a file says of a frame: its own values before those of the file, camera matrices as fl_x, fl_y, cx, cy."""
+    """The values of a frame over those of the file, camera matrices as fl_x, fl_y, cx, cy."""
     top = _with_matrix({name: transforms[name] for name in transforms if name != "frames"}, where)
     own = _with_matrix(frame, where)
     for axis in "xy":  # an angle of the frame's own goes before the file's focal length
@@ -88,7 +87,7 @@ def _given(transforms: dict, frame: dict, where: str) -> dict:
 
 
 def _with_matrix(values: dict, where: str) -> dict:
-    """Values with what their camera matrix says, which must not be something else than they say themselves."""
+    """Values with the intrinsics of their camera matrix; refused where the two differ."""
     found = _matrix_rows(values)
     if found is None:
         return dict(values)
@@ -100,10 +99,10 @@ def _with_matrix(values: dict, where: str) -> dict:
     if k.shape not in ((3, 3), (3, 4), (4, 4)) or not np.allclose(k[2, :3], [0, 0, 1], atol=1e-9):
         raise InputError(f"{where} must be a camera matrix, fx 0 cx, 0 fy cy, 0 0 1, got {shown(rows)}")
     said = dict(zip(("fl_x", "fl_y", "cx", "cy"), intrinsics_of(k, where), strict=True))
-    for word, value in said.items():
-        other = _optional(values, word, where)
+    for key, value in said.items():
+        other = _optional(values, key, where)
         if other is not None and abs(other - value) > SAME:
-            raise InputError(f"{where} has {word} {value:g}, beside it {word} is {other:g}: which is right?")
+            raise InputError(f"{where} has {key} {value:g}, beside it {key} is {other:g}: which is right?")
     return values | said
 
 
@@ -116,7 +115,7 @@ def read_transforms(folder: pathlib.Path, *, split: str, **options: Any) -> Scen
     # Frames without a picture are left out, as by nerfstudio and instant-ngp: captures often lack blurred ones.
     finder = PictureFinder(folder)
     views = views_there([_view(finder, transforms, where, frame) for where, frame in frames_of(transforms, path)], path)
-    finder.tell(path)
+    finder.warn_of_changed_names(path)
     options["beside"] = files_of(views)
     if path == single:
         views.sort(key=lambda view: str(view.file))
@@ -167,7 +166,7 @@ def _with_last_row(rows):
 
 
 def frame_intrinsics(given: dict, size: tuple[int, int], where: str) -> Intrinsics:
-    """fl_x, fl_y, cx, cy, or what stands for them: angles of view, the middle of the picture."""
+    """fl_x, fl_y, cx, cy; where they are missing, from angles of view and the middle of the picture."""
     focal = [_focal(given, axis, side, where) for axis, side in zip("xy", size, strict=True)]
     known = [value for value in focal if value is not None]
     if not known:
@@ -178,7 +177,7 @@ def frame_intrinsics(given: dict, size: tuple[int, int], where: str) -> Intrinsi
 
 
 def _focal(given: dict, axis: str, side: int, where: str) -> float | None:
-    """The focal length along an axis in pixels, from an angle of view too; None where nothing says it."""
+    """The focal length along an axis, pixels, or that of an angle of view; None without either."""
     if f"fl_{axis}" in given:
         return _positive(given, f"fl_{axis}", where)
     angle = _optional(given, f"camera_angle_{axis}", where)
@@ -191,12 +190,12 @@ def _focal(given: dict, axis: str, side: int, where: str) -> float | None:
 
 def _optional(given: dict, name: str, where: str) -> float | None:
     """A number, or None where it is not given."""
-    return None if given.get(name) is None else number(given[name], f"{where}: {name}")
+    return None if given.get(name) is None else checked_number(given[name], f"{where}: {name}")
 
 
 def _positive(given: dict, name: str, where: str) -> float:
     """A number above zero."""
-    value = number(given.get(name), f"{where}: {name}")
+    value = checked_number(given.get(name), f"{where}: {name}")
     if value <= 0:
         raise InputError(f"{where}: {name} must be positive, got {value:g}")
     return value
@@ -245,7 +244,7 @@ def _to_source(transforms: dict, path: pathlib.Path) -> np.ndarray | None:
     return np.linalg.inv(applied)
 
 
-#: nerfstudio's file of how it moved a dataset before it was fitted, and what its exports are in.
+#: nerfstudio's file with the motion of a dataset before its fit; exports are in that frame.
 FRAME_FILE = "dataparser_transforms.json"
 
 
@@ -254,7 +253,7 @@ MAX_SCALE = 1e9
 
 
 def read_frame(path: PathLike) -> Similarity:
-    """What takes the coordinates of a dataset, before its applied_transform, to nerfstudio's frame, by its file."""
+    """The similarity from the coordinates of a dataset, before its applied_transform, to nerfstudio's, by its file."""
     # poses are multiplied by `transform` from the left, which holds applied_transform too, and their places by `scale`
     path = require_file(path, "frame file")
     content = read_json(path)
@@ -287,20 +286,17 @@ def read_blender(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     """Read a split; camera axes are turned from Blender's (+y up, -z forward) to OpenCV's. Options as `load_scene`."""
     path = split_file(folder, split)
     transforms = read_json(path)
-    angle = number(transforms.get("camera_angle_x"), f"{path}: camera_angle_x")
-    if not 0 < angle < np.pi:
-        raise InputError(f"{path}: camera_angle_x must lie between 0 and pi, got {angle}")
+    given = {"camera_angle_x": checked_number(transforms.get("camera_angle_x"), f"{path}: camera_angle_x")}
 
-    def intrinsics(size: tuple[int, int]) -> tuple[float, float, float, float]:
-        focal = 0.5 * size[0] / np.tan(0.5 * angle)
-        return focal, focal, size[0] / 2, size[1] / 2
+    def intrinsics(size: tuple[int, int]) -> Intrinsics:
+        return frame_intrinsics(given, size, str(path))
 
     views, finder = [], PictureFinder(folder)
     for where, frame in frames_of(transforms, path):
         file = finder.find(frame.get("file_path"), f"{where}: file_path")
         pose = matrix(frame.get("transform_matrix"), (4, 4), f"{where}: transform_matrix") @ TO_OPENCV
         views.append(View(file, pose, where, intrinsics))
-    finder.tell(path)
+    finder.warn_of_changed_names(path)
     return make_scene(folder, views, **options)
 
 
@@ -321,7 +317,7 @@ class TransformsCameras:
         where, frame = self._found(name)
         given = _given(self._content, frame, where)
         if "w" in given and "h" in given:
-            width, height = (number(given[side], f"{where}: {side}") for side in "wh")
+            width, height = (checked_number(given[side], f"{where}: {side}") for side in "wh")
             width, height = picture_size(width, height, where)
         elif size is not None:
             width, height = size
@@ -344,8 +340,8 @@ class TransformsCameras:
         names = [str(frame.get("file_path")) for _, frame in self._frames]
         paths = [pathlib.PurePosixPath(each) for each in names]
         short = names_apart(paths) if len({*paths}) == len(paths) else names
-        words = [(names[k], short[k], each.stem, names[k].removesuffix(each.suffix)) for k, each in enumerate(paths)]
-        chosen = [index for index, each in enumerate(words) if name in each]
+        known = [(names[k], short[k], each.stem, names[k].removesuffix(each.suffix)) for k, each in enumerate(paths)]
+        chosen = [index for index, each in enumerate(known) if name in each]
         if not chosen and number is not None:
             chosen = [number]
         if len(chosen) == 1:

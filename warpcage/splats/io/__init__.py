@@ -20,7 +20,7 @@ SPLAT_ENDINGS = tuple(WRITERS)
 
 
 def splat_path(path: PathLike) -> pathlib.Path:
-    """The file of a path: of a folder that holds splats the one that tells of the others, or the newest of 3D Gaussian
+    """The file of a path: of a folder that holds splats the one that names the others, or the newest of 3D Gaussian
     Splatting."""
     file = checked_path(path, "the file of splats")
     if not file.is_dir():
@@ -37,7 +37,7 @@ def own_background(path: PathLike) -> dict[str, str]:
 
 
 def read_splats(path: PathLike, **options: Any) -> SplatContents:
-    """Read a file of splats, or a folder of one; whether a .ply is a compressed one its header tells.
+    """Read a file of splats, or a folder of one; a .ply whose header says so is compressed.
     options: of `SplatField.load`, None for what was not given."""
     named = splat_path(path)
     format = format_to_read(named)
@@ -72,9 +72,9 @@ def _rounding_text(contents: SplatContents, format: SplatFormat) -> str:
     rounded, size = rounding_of(contents, step) if format.rounds else (0.0, 0.0)
     if not rounded:
         return ""
-    how = "hold float32, which rounds positions so far from the origin" if step is None else "round these positions"
+    reason = "hold float32, which rounds positions so far from the origin" if step is None else "round these positions"
     return (
-        f"{format.endings[0]} files {how} to {rounded:.3g} units, and splats of {size:.3g} units with them: a .ply "
+        f"{format.endings[0]} files {reason} to {rounded:.3g} units, and splats of {size:.3g} units with them: a .ply "
         "file keeps them"
     )
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,19 +88,6 @@ def placed_by(contents: SplatContents, matrix: np.ndarray, where: str = "a node"
     left, _, right = np.linalg.svd(axes / scale)
     moved = dataclasses.replace(contents, centers=contents.centers.astype(np.float64))
     return placed(moved, left @ right, matrix[:3, 3], scale)
-
-
-def joined(parts: Sequence[SplatContents]) -> SplatContents:
-    """Splats of several lists in one, harmonics of lower degrees with zeros."""
-    if len(parts) == 1:
-        return parts[0]
-    most = max(part.harmonics.shape[1] for part in parts)
-    harmonics = [np.pad(part.harmonics, ((0, 0), (0, most - part.harmonics.shape[1]), (0, 0))) for part in parts]
-    centers, log_scales, quaternions, logits = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("centers", "log_scales", "quaternions", "logits")
-    )
-    return SplatContents(centers, log_scales, quaternions, logits, np.concatenate(harmonics))
 
 
 def harmonics_matrix(matrix: np.ndarray, count: int) -> np.ndarray:

@@ -31,7 +31,7 @@ MAX_LOG_SCALE = 20.0
 #: What files hold beside what each chunk says of its own values: the least and the largest, and the step between two.
 RANGES = {FURTHER: (-4.0, 4.0, 8.0 / 256.0), LOGS: (-MAX_LOG_SCALE, MAX_LOG_SCALE, 0.0)}
 
-_WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
 
 def is_compressed(parts: PlyParts) -> bool:
@@ -46,7 +46,7 @@ def read_compressed_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
     if chunk is None:
         raise InputError(f"{path}: packed splats need an element 'chunk', got {listed(parts.tables)}")
     ranges = [f"{begin}{axis}" for begin in ("min_", "max_", "min_scale_", "max_scale_") for axis in "xyz"]
-    for table, names, kind in ((chunk, ranges, "f4"), (vertex, _WORDS, "u4")):
+    for table, names, kind in ((chunk, ranges, "f4"), (vertex, _PACKED, "u4")):
         lacking = [name for name in names if name not in (table.dtype.names or ()) or table.dtype[name].str[1:] != kind]
         if lacking:
             raise InputError(f"{path}: packed splats lack {listed(lacking)}")
@@ -107,7 +107,7 @@ def write_compressed_ply(contents: SplatContents) -> bytes:
     chunk = np.zeros(len(begins), [(name, "<f4") for name in ranges])
     for name, values in ranges.items():
         chunk[name] = values
-    vertex = np.zeros(count, [(name, "<u4") for name in _WORDS])
+    vertex = np.zeros(count, [(name, "<u4") for name in _PACKED])
     vertex["packed_position"] = _packed_thirds(placed[""])
     vertex["packed_scale"] = _packed_thirds(placed["scale_"])
     vertex["packed_rotation"] = _packed_quaternions(contents.quaternions)
@@ -117,7 +117,7 @@ def write_compressed_ply(contents: SplatContents) -> bytes:
     octets = np.clip(np.trunc((further / 8.0 + 0.5) * 256.0), 0, 255).astype(np.uint8)
     lines = ["ply", "format binary_little_endian 1.0", f"element chunk {len(chunk)}"]
     lines += [f"property float {name}" for name in ranges]
-    lines += [f"element vertex {count}", *(f"property uint {name}" for name in _WORDS)]
+    lines += [f"element vertex {count}", *(f"property uint {name}" for name in _PACKED)]
     if octets.shape[1]:
         lines += [f"element sh {count}", *(f"property uchar f_rest_{k}" for k in range(octets.shape[1]))]
     header = "\n".join([*lines, "end_header", ""])
@@ -171,41 +171,41 @@ def _columns(table: np.ndarray, names: list[str]) -> np.ndarray:
     return np.stack([table[name] for name in names], axis=1).astype(np.float64)
 
 
-def _bits(words: np.ndarray, shift: int, bits: int) -> np.ndarray:
-    """Some bits of words as a share of their most."""
+def _bits(packed: np.ndarray, shift: int, bits: int) -> np.ndarray:
+    """Some bits of uint32s as a share of their most."""
     most = (1 << bits) - 1
-    return ((words >> np.uint32(shift)) & np.uint32(most)).astype(np.float64) / most
+    return ((packed >> np.uint32(shift)) & np.uint32(most)).astype(np.float64) / most
 
 
-def _thirds(words: np.ndarray) -> np.ndarray:
-    """(n, 3) the shares that words of 11, 10 and 11 bits hold."""
-    return np.stack([_bits(words, 21, 11), _bits(words, 11, 10), _bits(words, 0, 11)], axis=1)
+def _thirds(packed: np.ndarray) -> np.ndarray:
+    """(n, 3) the shares packed in 11, 10 and 11 bits."""
+    return np.stack([_bits(packed, 21, 11), _bits(packed, 11, 10), _bits(packed, 0, 11)], axis=1)
 
 
-def _bytes(words: np.ndarray) -> np.ndarray:
-    """(n, 4) the shares that words of four bytes hold, the highest first."""
-    return np.stack([_bits(words, shift, 8) for shift in (24, 16, 8, 0)], axis=1)
+def _bytes(packed: np.ndarray) -> np.ndarray:
+    """(n, 4) the shares packed in four bytes, the highest first."""
+    return np.stack([_bits(packed, shift, 8) for shift in (24, 16, 8, 0)], axis=1)
 
 
 def _packed(shares: np.ndarray, shifts: tuple[int, ...], bits: tuple[int, ...]) -> np.ndarray:
-    """(n,) words of shares (n, k), 0 to 1."""
-    words = np.zeros(len(shares), np.uint32)
+    """(n,) uint32 of shares (n, k), 0 to 1."""
+    packed = np.zeros(len(shares), np.uint32)
     for k, (shift, width) in enumerate(zip(shifts, bits, strict=True)):
         most = (1 << width) - 1
         values = np.clip(np.floor(shares[:, k] * most + 0.5), 0, most).astype(np.uint32)
-        words |= values << np.uint32(shift)
-    return words
+        packed |= values << np.uint32(shift)
+    return packed
 
 
 def _packed_thirds(shares: np.ndarray) -> np.ndarray:
     return _packed(shares, (21, 11, 0), (11, 10, 11))
 
 
-def _unpacked_quaternions(words: np.ndarray) -> np.ndarray:
+def _unpacked_quaternions(packed: np.ndarray) -> np.ndarray:
     """(n, 4) w x y z: the largest is left out, and found from the others."""
-    others = np.stack([_bits(words, shift, 10) for shift in (20, 10, 0)], axis=1)
+    others = np.stack([_bits(packed, shift, 10) for shift in (20, 10, 0)], axis=1)
     others = (others - 0.5) * np.sqrt(2.0)
-    largest = (words >> np.uint32(30)).astype(int)
+    largest = (packed >> np.uint32(30)).astype(int)
     return with_largest(others, largest)
 
 
@@ -232,5 +232,5 @@ def without_largest(quaternions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _packed_quaternions(quaternions: np.ndarray) -> np.ndarray:
     others, largest = without_largest(quaternions)
-    words = _packed(others / np.sqrt(2.0) + 0.5, (20, 10, 0), (10, 10, 10))
-    return words | (largest.astype(np.uint32) << np.uint32(30))
+    packed = _packed(others / np.sqrt(2.0) + 0.5, (20, 10, 0), (10, 10, 10))
+    return packed | (largest.astype(np.uint32) << np.uint32(30))

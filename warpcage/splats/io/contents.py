@@ -1,9 +1,10 @@
-"""What a file of Gaussian splats holds, as plain arrays: what of it are splats, and fields that are none."""
+"""The contents of a file of Gaussian splats as plain arrays, and checks of them."""
 
 from __future__ import annotations
 
 import dataclasses
 import pathlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}
 #: A splat less opaque than this is not seen in pictures of bytes.
 MIN_OPACITY = 1.0 / 255.0
 
-#: Positions are rounded by much where float32 tells apart no more than this share of the usual splat's length.
+#: Positions are rounded by much where float32 resolves no more than this share of the usual splat's length.
 FINEST = 0.1
 
 #: Opacities of bytes 0 and 255 are so far from 0 and 1.
@@ -39,7 +40,7 @@ FIRST, FURTHER, LOGS = "f_dc", "f_rest", "log scales"
 #: The same of a format with float32 scales: below the least of them they are zero, which no splat has.
 FLOAT_LOGS = (float(np.log(np.finfo(np.float32).tiny)), MAX_LOG_SCALE, 0.0)
 
-#: Splats that may all be the same: made by hand they are few.
+#: Splats that may all be the same: handmade ones are few.
 _FEW_EQUAL = 16
 
 #: Rows that are no splats are left out up to this number, or this share of a file where that is more, but never more
@@ -67,7 +68,7 @@ class SplatContents:
     logits: np.ndarray  # (n,) float32, logarithm of opacity / (1 - opacity); infinite for 0 and 1
     harmonics: np.ndarray  # (n, b, 3) float32, b = 1, 4, 9 or 16 coefficients in red, green and blue
     layout: PlyLayout | None = None  # of the PLY file that they come from
-    antialias: bool = False  # whether they were fitted with what `SplatField.render` calls by this name
+    antialias: bool = False  # whether they were fitted with antialiasing, see `SplatField.render`
 
     @property
     def count(self) -> int:
@@ -135,8 +136,12 @@ def seen_logs(contents: SplatContents) -> np.ndarray:
     return np.maximum(logs, np.log(FINEST * usual_size(contents))) if contents.count else logs
 
 
-def joined(parts: list[SplatContents], degree: int) -> SplatContents:
-    """Splats one after another, their harmonics filled up with zeros to a degree."""
+def joined(parts: Sequence[SplatContents], degree: int | None = None) -> SplatContents:
+    """Splats one after another, their harmonics filled up with zeros to a degree; None is the highest of them."""
+    if degree is None:
+        if len(parts) == 1:
+            return parts[0]
+        degree = max(part.degree for part in parts)
     total = sum(part.count for part in parts)
     harmonics, begin = np.zeros((total, (degree + 1) ** 2, 3), np.float32), 0
     for part in parts:
@@ -271,20 +276,17 @@ def _without_elements_after(header: bytes) -> bytes:
     lines, kept, seen = header.splitlines(keepends=True), [], False
     dropping = False
     for line in lines:
-        words = line.split()
-        if words[:1] == [b"element"]:
-            dropping, seen = seen, seen or words[1] == b"vertex"
-        if not (dropping and words[:1] in ([b"element"], [b"property"])):
+        tokens = line.split()
+        if tokens[:1] == [b"element"]:
+            dropping, seen = seen, seen or tokens[1] == b"vertex"
+        if not (dropping and tokens[:1] in ([b"element"], [b"property"])):
             kept.append(line)
     return b"".join(kept)
 
 
 def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
     """Rotations (n, 3, 3) float64 of quaternions (n, 4) w x y z of any length; of length zero for no rotation."""
-    q = quaternions.astype(np.float64)
-    largest = np.abs(q).max(axis=1, keepdims=True, initial=0.0)
-    q = np.where(largest > 0.0, q / np.where(largest > 0.0, largest, 1.0), [1.0, 0.0, 0.0, 0.0])
-    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+    w, x, y, z = unit_quaternions(quaternions).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],

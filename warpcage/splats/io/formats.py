@@ -47,12 +47,12 @@ class SplatFormat:
         return pathlib.Path(path).name.lower().endswith(self.endings)
 
     def holds(self, path: PathLike) -> bool:
-        """Whether a file is one of the format, by its ending and, where that does not tell, by its beginning."""
+        """Whether a file is one of the format, by its ending and, where that is ambiguous, by its beginning."""
         return self.has_ending(path) and (self.recognize is None or self.recognize(pathlib.Path(path)))
 
 
 def read_ply(path: pathlib.Path, activated: bool | None = None) -> SplatContents:
-    """The splats of a .ply file; whether it is a compressed one its header tells."""
+    """The splats of a .ply file; one whose header says so is compressed."""
     parts = read_parts(path, ("chunk", "vertex", "sh"))
     if not is_compressed(parts):
         return read_splat_ply(path, parts, activated)

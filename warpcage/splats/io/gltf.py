@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import shown, warn_caller
+from ...core.checks import checked_whole, shown, warn_caller
 from ...core.files import JSON_ROOM
 from ...core.memory import require_host_memory
 from ...errors import InputError
@@ -98,7 +98,7 @@ def read_gltf_splats(path: pathlib.Path) -> SplatContents:
         buffers = read_buffers(path, document, chunk)
         parts = [placed_by(_primitive(path, document, buffers, each), matrix) for each, matrix in nodes]
         parts = [dataclasses.replace(part, centers=part.centers.astype(np.float32)) for part in parts]
-        contents = parts[0] if len(parts) == 1 else joined(parts, max(part.degree for part in parts))
+        contents = joined(parts)
         return turned(contents, axes_matrix(GLTF_AXES))
 
 
@@ -173,22 +173,20 @@ def _claimed(document: dict, primitive: dict) -> int:
     if "POSITION" not in primitive["attributes"]:
         return 0
     count = document["accessors"][primitive["attributes"]["POSITION"]]["count"]
-    if not isinstance(count, int) or count < 0:
-        raise InputError(f"a number of splats must be a whole number, got {shown(count)}")
-    return count
+    return checked_whole(count, "a number of splats", 0)
 
 
 def _primitive(path: pathlib.Path, document: dict, buffers: list[bytes], primitive: dict) -> SplatContents:
     """The splats of a part of a mesh, in glTF's axes."""
-    told = primitive["extensions"][EXTENSION]
+    extension = primitive["extensions"][EXTENSION]
     if primitive.get("mode", 4) != _POINTS:
         raise InputError(f"splats are points, which is mode 0, got mode {shown(primitive.get('mode', 4))}")
     for key, known in (("kernel", _KERNEL), ("colorSpace", _COLORS)):
-        if (value := told.get(key, known)) != known:
+        if (value := extension.get(key, known)) != known:
             warn_caller(f"{path}: its splats have {key} {shown(value)}, they are drawn as {known!r}")
-    packed = [each for each in SPZ_EXTENSIONS if each in told.get("extensions", {})]
+    packed = [each for each in SPZ_EXTENSIONS if each in extension.get("extensions", {})]
     if packed:
-        view = document["bufferViews"][told["extensions"][packed[0]]["bufferView"]]
+        view = document["bufferViews"][extension["extensions"][packed[0]]["bufferView"]]
         begin, size = view.get("byteOffset", 0), view["byteLength"]
         data = buffers[view["buffer"]]
         if not 0 <= begin <= begin + size <= len(data):

@@ -65,7 +65,7 @@ def read_parts(path: pathlib.Path, wanted: tuple[str, ...]) -> PlyParts:
     tables, begins, position = {}, {}, begin
     for name, count, properties in elements[: last + 1]:
         if any(isinstance(kind, tuple) for _, kind in properties):
-            raise InputError(f"{path}: element {name!r} before the splats has lists, whose rows cannot be told apart")
+            raise InputError(f"{path}: element {name!r} before the splats has lists, whose rows have no fixed length")
         fields = [field for field, _ in properties]
         if len(set(fields)) < len(fields) or name in tables:
             raise InputError(f"{path}: element {name!r} or one of its properties is there twice")
@@ -163,7 +163,7 @@ def _look_activated(scales: np.ndarray, opacities: np.ndarray) -> tuple[bool, bo
     of_opacities = bool(opacities.min() >= 0.0 and 0.0 < opacities.max() <= 1.0 + _ROUNDED)
     if of_scales and of_opacities:
         return True, True
-    # one kind alone must be clearer: splats made by hand may have logits of 0.5, or be a little larger than a unit
+    # one kind alone must be clearer: handmade splats may have logits of 0.5, or be a little larger than a unit
     many = len(scales) >= _MANY
     of_scales &= many and bool(np.median(scales) < _NEAR_ZERO)
     return of_scales, of_opacities and many and bool(np.ptp(opacities) > _SPREAD)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import shown, warn_caller
+from ...core.checks import checked_whole, shown, warn_caller
 from ...core.files import DAMAGED, JSON_ROOM, damage, read_json, read_limited
 from ...core.memory import MemoryShortage, require_host_memory
 from ...errors import InputError
@@ -102,7 +102,7 @@ def _widest(vectors: np.ndarray, labels: np.ndarray, cells: int) -> tuple[np.nda
     return sizes, spread.sum(axis=1), vectors[np.arange(len(vectors)), spread.argmax(axis=1)[labels]]
 
 
-#: The file that tells of the others.
+#: The file that describes the others.
 META = "meta.json"
 
 #: Most bytes of that file in an archive, of which others have some thousand.
@@ -128,7 +128,7 @@ _Files = Callable[[str], bytes]
 
 
 def has_sog_meta(path: pathlib.Path) -> bool:
-    """Whether a meta.json tells of splats."""
+    """Whether a meta.json describes splats."""
     try:
         content = read_json(path, "SOG file")
     except (ValueError, OSError):
@@ -137,7 +137,7 @@ def has_sog_meta(path: pathlib.Path) -> bool:
 
 
 def read_sog(path: pathlib.Path) -> SplatContents:
-    """The splats of a .sog archive, or of the folder that a meta.json tells of. The axes are those of .ply files."""
+    """The splats of a .sog archive, or of the folder of a meta.json. The axes are those of .ply files."""
     if path.name.lower() == META:
         return _read(path, _folder_meta(path), _folder_files(path))
     with zip_members(path, "a .sog file") as archive:
@@ -157,8 +157,8 @@ def write_sog(contents: SplatContents) -> bytes:
     logs = np.sign(places) * np.log1p(np.abs(places))
     low, high = (end(logs, axis=0) if count else np.zeros(3) for end in (np.min, np.max))
     span = np.where(high > low, high - low, 1.0)
-    words = np.round((logs - low) / span * 65535.0).astype(np.uint16)
-    pictures["means_l.webp"], pictures["means_u.webp"] = words & 255, words >> 8
+    uint16s = np.round((logs - low) / span * 65535.0).astype(np.uint16)
+    pictures["means_l.webp"], pictures["means_u.webp"] = uint16s & 255, uint16s >> 8
     meta["means"] = {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]}
     codes = codebook(contents.log_scales)
     pictures["scales.webp"] = nearest(codes, contents.log_scales)
@@ -227,7 +227,7 @@ def _picture_bytes(pixels: np.ndarray) -> bytes:
 
 
 def _folder_meta(path: pathlib.Path) -> dict[str, Any]:
-    """What the meta.json of a folder tells."""
+    """The meta.json of a folder."""
     try:
         return read_json(path, "SOG file")
     except MemoryShortage:
@@ -258,7 +258,7 @@ def _archive_folder(archive: zipfile.ZipFile) -> str:
 
 
 def _archive_meta(path: pathlib.Path, archive: zipfile.ZipFile, inside: str) -> dict[str, Any]:
-    """What the meta.json of an archive tells."""
+    """The meta.json of an archive."""
     data = read_member(path, archive, inside + META, JSON_ROOM, _MAX_META)
     try:
         meta = json.loads(data.decode("utf-8"))
@@ -270,7 +270,7 @@ def _archive_meta(path: pathlib.Path, archive: zipfile.ZipFile, inside: str) -> 
 
 
 def _read(path: pathlib.Path, meta: dict[str, Any], files: _Files) -> SplatContents:
-    """The splats that a meta.json tells of."""
+    """The splats that a meta.json describes."""
     try:
         version = meta.get("version", 1)
         if version not in (1, 2):
@@ -286,9 +286,7 @@ class _SogReader:
     def __init__(self, path: pathlib.Path, meta: dict[str, Any], files: _Files, version: int):
         self.path, self.meta, self.files, self.version = path, meta, files, version
         count = meta["count"] if version == 2 else meta["means"]["shape"][0]
-        if not isinstance(count, int) or isinstance(count, bool) or count < 0:
-            raise InputError(f"{path}: its number of splats must be a whole number, got {shown(count)}")
-        self.count = count
+        self.count = checked_whole(count, f"{path}: its number of splats", 0)
 
     def read(self) -> SplatContents:
         """The splats."""
@@ -296,11 +294,11 @@ class _SogReader:
         require_packed(self.path, count, len(self._file("means", 0)), f"its {count} splats", _LEVEL)
         require_host_memory(_SPLAT_BYTES * count, f"{self.path}: its {count} splats need")
         low, high = self._numbers("means", "mins", 3), self._numbers("means", "maxs", 3)
-        words = (
+        uint16s = (
             self._pixels("means", 0)[:, :3].astype(np.uint32) | self._pixels("means", 1)[:, :3].astype(np.uint32) << 8
         )
         with np.errstate(over="ignore", invalid="ignore"):  # found by the check of what is finite
-            logs = low + (high - low) * (words / 65535.0)
+            logs = low + (high - low) * (uint16s / 65535.0)
             centers = (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
         turns = self._pixels("quats", 0)
         largest = turns[:, 3].astype(int) - _LARGEST
@@ -324,15 +322,15 @@ class _SogReader:
 
     def _further(self) -> np.ndarray:
         """(n, b - 1, 3) the harmonics after the first: each splat has those of an entry of a palette."""
-        told = self.meta["shN"]
+        entry = self.meta["shN"]
         data = self._file("shN", 0)
         width, height = _picture_size(self.path, data)
         coefficients = width // _ROW
         if width % _ROW or coefficients not in (3, 8, 15):
             raise InputError(f"{self.path}: a palette of harmonics is 192, 512 or 960 pixels wide, got {width}")
-        if self.version == 2 and told["bands"] != DEGREES[1 + coefficients]:
+        if self.version == 2 and entry["bands"] != DEGREES[1 + coefficients]:
             raise InputError(
-                f"{self.path}: {shown(told['bands'])} bands of harmonics do not fit a palette {width} pixels wide"
+                f"{self.path}: {shown(entry['bands'])} bands of harmonics do not fit a palette {width} pixels wide"
             )
         if height * _ROW > 2 * _MAX_ENTRIES:
             raise InputError(
@@ -342,7 +340,7 @@ class _SogReader:
         codes = _decoded_picture(self.path, data)[..., :3].reshape(height * _ROW, coefficients, 3)
         labels = self._pixels("shN", 1)
         of = labels[:, 0].astype(int) | labels[:, 1].astype(int) << 8
-        entries = told["count"] if self.version == 2 else height * _ROW
+        entries = entry["count"] if self.version == 2 else height * _ROW
         if not isinstance(entries, int) or isinstance(entries, bool) or not 0 <= entries <= height * _ROW:
             raise InputError(f"{self.path}: a palette of {shown(entries)} entries does not fit {height} rows of {_ROW}")
         outside = of >= entries
@@ -360,31 +358,31 @@ class _SogReader:
         """Values of bytes: from the codebook of version 2, or between the ends of version 1, `width` of them or one."""
         if self.version == 2:
             book = np.zeros(CODES)
-            told = self._numbers(name, "codebook", None)
-            if len(told) > CODES:
-                raise InputError(f"{self.path}: a codebook has at most {CODES} numbers, that of {name} {len(told)}")
-            book[: len(told)] = told
-            if codes.size and codes.max() >= len(told):
-                raise InputError(f"{self.path}: the codebook of {name} has {len(told)} numbers, not {codes.max() + 1}")
+            entry = self._numbers(name, "codebook", None)
+            if len(entry) > CODES:
+                raise InputError(f"{self.path}: a codebook has at most {CODES} numbers, that of {name} {len(entry)}")
+            book[: len(entry)] = entry
+            if codes.size and codes.max() >= len(entry):
+                raise InputError(f"{self.path}: the codebook of {name} has {len(entry)} numbers, not {codes.max() + 1}")
             return book[codes].astype(np.float32)
         return self._ranged(name, codes, width)
 
     def _ranged(self, name: str, codes: np.ndarray, width: int) -> np.ndarray:
-        """Values of bytes (..., c) between the ends that version 1 tells, of which c are used."""
+        """Values of bytes (..., c) between the ends that version 1 gives, of which c are used."""
         low, high = (self._numbers(name, end, width or 1) for end in ("mins", "maxs"))
         used = slice(None, codes.shape[-1] if width else 1)
         with np.errstate(over="ignore", invalid="ignore"):
             return (low[used] + (high - low)[used] * (codes / 255.0)).astype(np.float32)
 
     def _numbers(self, name: str, key: str, width: int | None) -> np.ndarray:
-        """(width,) float64 numbers that the meta.json tells; None is any."""
-        told = self.meta[name][key]
-        told = told if isinstance(told, list) else [told]
-        if not all(isinstance(each, int | float) and not isinstance(each, bool) for each in told):
+        """(width,) float64 numbers of the meta.json; None is any."""
+        entry = self.meta[name][key]
+        entry = entry if isinstance(entry, list) else [entry]
+        if not all(isinstance(each, int | float) and not isinstance(each, bool) for each in entry):
             raise InputError(f"{self.path}: {key} of {name} must be numbers")
-        if width is not None and len(told) != width:
-            raise InputError(f"{self.path}: {key} of {name} must be {width} numbers, got {len(told)}")
-        return np.array(told, np.float64)
+        if width is not None and len(entry) != width:
+            raise InputError(f"{self.path}: {key} of {name} must be {width} numbers, got {len(entry)}")
+        return np.array(entry, np.float64)
 
     def _file(self, name: str, index: int) -> bytes:
         """The bytes of a picture."""

@@ -211,8 +211,8 @@ def _splats(tables: list[np.ndarray], version: int, bits: int, further: int, ant
     if version == 1:
         centers = np.ascontiguousarray(places).view("<f2").astype(np.float32)
     else:
-        words = places.reshape(count, 3, 3).astype(np.int32)
-        fixed = words[..., 0] | words[..., 1] << 8 | words[..., 2] << 16
+        uint8s = places.reshape(count, 3, 3).astype(np.int32)
+        fixed = uint8s[..., 0] | uint8s[..., 1] << 8 | uint8s[..., 2] << 16
         centers = (np.where(fixed > _MOST, fixed - (1 << 24), fixed) / float(1 << bits)).astype(np.float32)
     harmonics = np.empty((count, 1 + further, 3), np.float32)
     harmonics[:, 0] = (colors / 255.0 - 0.5) / COLOR_SCALE
@@ -235,12 +235,12 @@ def _three_bytes(turns: np.ndarray) -> np.ndarray:
 
 
 def _four_bytes(turns: np.ndarray) -> np.ndarray:
-    """(n, 4) w x y z of words: which of x y z w is the largest, and sign and size of the others, of 1 and 9 bits."""
-    words = turns.astype(np.uint32)
-    word = words[:, 0] | words[:, 1] << 8 | words[:, 2] << 16 | words[:, 3] << 24
-    parts = np.stack([(word >> shift) & 1023 for shift in (20, 10, 0)], axis=1).astype(np.int64)
+    """(n, 4) w x y z of four bytes: the index of the largest of x y z w, then signs and 9-bit sizes of the others."""
+    uint8s = turns.astype(np.uint32)
+    packed = uint8s[:, 0] | uint8s[:, 1] << 8 | uint8s[:, 2] << 16 | uint8s[:, 3] << 24
+    parts = np.stack([(packed >> shift) & 1023 for shift in (20, 10, 0)], axis=1).astype(np.int64)
     others = (parts & 511) / 511.0 * np.sqrt(0.5) * np.where(parts & 512, -1.0, 1.0)
-    return np.roll(with_largest(others, (word >> 30).astype(int)), 1, axis=1)
+    return np.roll(with_largest(others, (packed >> 30).astype(int)), 1, axis=1)
 
 
 def _turn_bytes(quaternions: np.ndarray) -> bytes:
@@ -249,7 +249,7 @@ def _turn_bytes(quaternions: np.ndarray) -> bytes:
     others, largest = without_largest(np.roll(whole, -1, axis=1))
     sizes = np.minimum(np.floor(np.abs(others) * (511.0 * np.sqrt(2.0)) + 0.5), 511).astype(np.uint32)
     parts = sizes | np.where(others < 0.0, 512, 0).astype(np.uint32)
-    word = largest.astype(np.uint32) << 30
+    packed = largest.astype(np.uint32) << 30
     for k, shift in enumerate((20, 10, 0)):
-        word |= parts[:, k] << np.uint32(shift)
-    return word.astype("<u4").tobytes()
+        packed |= parts[:, k] << np.uint32(shift)
+    return packed.astype("<u4").tobytes()

@@ -1,4 +1,4 @@
-"""What files of splats are packed by: gzip, zstd and zip. No more is unpacked than was found to fit in memory."""
+"""Decompression of files of splats (gzip, zstd, zip), never beyond what fits in memory."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import zlib
 from typing import Any
 
 from ...core.checks import shown
-from ...core.files import CHUNK, MAX_RATIO
 from ...core.memory import require_host_memory
 from ...core.names import install_line
+from ...core.npz import CHUNK, MAX_RATIO
 from ...errors import InputError
 
 #: Bytes that a packed byte may come to, beyond some that any file may have. The places of splats alone are a tenth of
@@ -47,7 +47,7 @@ def gunzipped(path: pathlib.Path, data: bytes, most: int) -> bytes:
             part = unpacker.decompress(rest, min(CHUNK, most + 1 - total))
             total += len(part)
             if total > most:
-                raise InputError(f"{path}: more than {most} bytes are packed in it, which its header does not tell")
+                raise InputError(f"{path}: it unpacks to more than {most} bytes, more than its header says")
             parts.append(part)
             rest = unpacker.unconsumed_tail
             if not part and not rest:

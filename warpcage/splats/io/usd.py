@@ -122,7 +122,7 @@ def read_usd_splats(path: pathlib.Path) -> SplatContents:
         for prim in prims:
             where = f"{path}: prim {prim.GetPath()}"
             parts.append(placed_by(_splats_of(prim, time, where), still_matrix(prim, time).T, where))
-        whole = parts[0] if len(parts) == 1 else joined(parts, max(part.degree for part in parts))
+        whole = joined(parts)
         up = pxr.UsdGeom.GetStageUpAxis(stage)
         if up not in _UP:
             raise InputError(f"{path}: the upAxis of a stage is Y or Z, got {shown(up)}")
@@ -133,7 +133,7 @@ def read_usd_splats(path: pathlib.Path) -> SplatContents:
 
 
 def _shown_prims(path: pathlib.Path, found: list[Any]) -> list[Any]:
-    """Those of a stage's prims with splats that are shown; the others are told, ValueError where there are none."""
+    """Those of a stage's prims with splats that are shown; warns of the others; ValueError where there are none."""
     if not found:
         raise InputError(f"{path}: it has no splats: no prim of its stage is a {_SCHEMA}")
     prims = [prim for prim in found if _is_shown(prim)]
@@ -149,13 +149,13 @@ def _shown_prims(path: pathlib.Path, found: list[Any]) -> list[Any]:
 def _is_shown(prim: Any) -> bool:
     """Whether a prim is visible, and neither a guide nor a stand-in of another one."""
     geometry = usd_library().UsdGeom
-    scene_object, words = geometry.Imageable(prim), geometry.Tokens
-    hidden = scene_object.ComputeVisibility(usd_library().Usd.TimeCode.EarliestTime()) == words.invisible
-    return not hidden and scene_object.ComputePurpose() not in (words.proxy, words.guide)
+    scene_object, tokens = geometry.Imageable(prim), geometry.Tokens
+    hidden = scene_object.ComputeVisibility(usd_library().Usd.TimeCode.EarliestTime()) == tokens.invisible
+    return not hidden and scene_object.ComputePurpose() not in (tokens.proxy, tokens.guide)
 
 
 def _first_time(path: pathlib.Path, prims: list[Any]) -> Any:
-    """The first time at which anything is said of prims; that they move is told."""
+    """The first time at which prims have values; warns where they move."""
     pxr = usd_library()
     times: set[float] = set()
     for prim in prims:
@@ -193,7 +193,7 @@ def _splats_of(prim: Any, time: Any, where: str) -> SplatContents:
     if ((opacities < -_ROUNDED) | (opacities > 1.0 + _ROUNDED)).any():
         worst = opacities[np.nanargmax(np.abs(opacities - 0.5))]
         raise InputError(f"{where}: opacities must be in [0, 1], got {worst:.3g}: USD has no logits of them")
-    _tell_hints(prim, where)
+    _warn_of_hints(prim, where)
     return SplatContents(
         places,
         logs_of(scales),
@@ -224,8 +224,8 @@ class _Fitting:
         found = _values(self.prim, _HARMONICS, 3, self.time)
         if not len(found):
             return np.zeros((self.count, 1, 3), np.float32)
-        told = self.prim.GetAttribute(_DEGREE)
-        degree = told.Get() if told else 3
+        attribute = self.prim.GetAttribute(_DEGREE)
+        degree = attribute.Get() if attribute else 3
         if degree not in DEGREES.values():
             raise InputError(f"{self.where}: harmonics are read of degree 0 to 3, got {shown(degree)}")
         width = (degree + 1) ** 2
@@ -241,8 +241,8 @@ class _Fitting:
         return found[:needed]
 
 
-def _tell_hints(prim: Any, where: str) -> None:
-    """Tell of what a prim asks for that is not done: another projection, or colours other than pictures have."""
+def _warn_of_hints(prim: Any, where: str) -> None:
+    """Warn of hints of a prim that are ignored: another projection, or other colours than pictures have."""
     projection = prim.GetAttribute("projectionModeHint")
     if projection and projection.Get() != "perspective":
         warn_caller(
@@ -260,9 +260,9 @@ def _color_space(prim: Any) -> str:
         if attribute and attribute.HasColorSpace():
             return str(attribute.GetColorSpace())
     while prim and not prim.IsPseudoRoot():
-        told = prim.GetAttribute("colorSpace:name")
-        if told and told.Get():
-            return str(told.Get())
+        attribute = prim.GetAttribute("colorSpace:name")
+        if attribute and attribute.Get():
+            return str(attribute.Get())
         prim = prim.GetParent()
     return ""
 

@@ -107,7 +107,7 @@ def read_ksplat(path: pathlib.Path) -> SplatContents:
         place += size
     count = sum(part.count for part in parts)
     if count != total:
-        raise InputError(f"{path}: its sections hold {count} splats, its header tells of {total}")
+        raise InputError(f"{path}: its sections hold {count} splats, its header says {total}")
     return joined(parts, degree)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from ...core.checks import checked_flag, checked_path, checked_whole, listed
 from ...core.files import atomic_path, check_parent
 from ...core.names import agreed, counted
-from ...core.reports import Progress, progress_scope
+from ...core.reports import Progress, Reporter, reports_progress
 from ...errors import InputError, MissingFileError
 from ...scene.box_picture import box_text, draw_box
 from ...scene.coverage import draw_coverage, find_coverage
@@ -39,7 +39,8 @@ class WorkFolder:
     """A hidden folder beside the output, a context; another job (what is captured and how, for JSON) starts anew.
     It goes when the capture is done or the input unusable; a kill, an interrupt or a full disk leaves it to go on."""
 
-    def __init__(self, output: pathlib.Path, job: dict):
+    def __init__(self, output: pathlib.Path, job: dict, progress: bool | Progress = False):
+        self._progress = progress
         self.path = output.with_name(f".{output.name}.capture")
         self._job = json.loads(json.dumps({"layout": LAYOUT, **job}))
 
@@ -60,7 +61,8 @@ class WorkFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None or issubclass(kind, ValueError | FileNotFoundError):
+        ended = isinstance(self._progress, Reporter) and self._progress.error is not None  # by the caller
+        if kind is None or (issubclass(kind, ValueError | FileNotFoundError) and not ended):
             shutil.rmtree(self.path, ignore_errors=True)
         if kind is not None:
             with contextlib.suppress(OSError):  # one that holds something
@@ -95,6 +97,7 @@ TURNTABLE_STEP = 0.1 * MIN_STEP
 MAX_FRAMES, MIN_SIZE, MAX_SIZE = 2000, 100, 8000
 
 
+@reports_progress
 def capture(
     path: str | os.PathLike[str],
     output: str | os.PathLike[str],
@@ -137,8 +140,8 @@ def capture(
         feature_size: Longer side at which features are looked for, pixels; larger pictures are shrunk for that. More
             finds cameras more exactly, and takes longer.
         seed: Seed of COLMAP's random numbers. The same pictures, up to 200, give the same cameras on the same machine.
-        progress: Whether bars are shown, and before the matches about how long it takes. A function is told how much is
-            done, of how much (0: not known) and of which step, and ends the work by returning False or by raising.
+        progress: Whether bars are shown, and before the matches about how long it takes. A function is called with
+            (done, total, step), total 0 where it is not known, and ends the work by returning False or by raising.
 
     Returns:
         What was found.
@@ -180,8 +183,8 @@ def capture(
         "seed": seed,
         "pycolmap": importlib.metadata.version("pycolmap"),
     }
-    with progress_scope(None if isinstance(progress, bool) else progress), WorkFolder(output, job) as work:
-        given = _Given(source, output, work, chosen, masked, turntable, frames, feature_size, seed, progress is True)
+    with WorkFolder(output, job, progress) as work:
+        given = _Given(source, output, work, chosen, masked, turntable, frames, feature_size, seed, progress)
         return _capture(given)
 
 
@@ -198,7 +201,7 @@ class _Given:
     frames: int
     feature_size: int
     seed: int
-    progress: bool
+    progress: bool | Progress
 
     @property
     def is_video(self) -> bool:
@@ -254,7 +257,7 @@ def _capture(given: _Given) -> CaptureReport:
 
 
 def _stamps(source: pathlib.Path) -> list[list[object]]:
-    """Names, sizes and times of the files of a capture, by which another one is told apart."""
+    """Names, sizes and times of the files of a capture, which identify it."""
     files = sorted(source.iterdir()) if source.is_dir() else [source]
     return [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.is_file()]
 
@@ -304,7 +307,7 @@ def _video_sources(given: _Given, facts: dict[str, object]) -> list[Source]:
     ]
 
 
-def _kept_scores(video: pathlib.Path, file: pathlib.Path, progress: bool) -> FrameScores:
+def _kept_scores(video: pathlib.Path, file: pathlib.Path, progress: bool | Progress) -> FrameScores:
     """The measures of a video's frames, from an earlier run where there was one."""
     if file.is_file():
         kept = np.load(file)

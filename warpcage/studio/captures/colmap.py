@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...core.names import counted
+from ...core.reports import Progress, shows_bars
 from ...core.threads import cpu_threads
 from ...errors import InputError
 from ...scene.camera_check import MIN_GROUP
@@ -229,7 +230,7 @@ MAX_OFF_CENTER = 0.1
 #: Up to so many pictures the mapping runs on one thread, which takes hardly longer and always gives the same cameras.
 MAX_ON_ONE_THREAD = 200
 
-#: Groups of pictures that are told apart where not all fit together.
+#: Groups of pictures that are distinguished where not all fit together.
 MAX_GROUPS = 4
 
 #: Focal length of a picture that says nothing of it, in longer sides: between phones and their videos.
@@ -260,7 +261,7 @@ class Solver:
         *,
         masks: pathlib.Path | None = None,  # folder with NAME.png for each NAME, black where no feature counts
         seed: int = 0,
-        progress: bool = False,
+        progress: bool | Progress = False,
     ):
         self.colmap, self.masks = load_pycolmap(), masks
         self.database, self.folder, self.names = database, folder, list(names)
@@ -323,7 +324,7 @@ class Solver:
         Returns the number of the pairs, and of those that show the same."""
         colmap = self.colmap
         pairs, left = self._pairs(video)
-        if self.progress:
+        if shows_bars(self.progress):
             counts = self._feature_counts()
             seconds = expected_seconds(counts, left, self.threads)
             print(time_line(len(self.names), len(left), seconds, self.threads), file=sys.stderr)
@@ -412,13 +413,13 @@ class Solver:
         """A Reconstruction of `map` whose cameras and points are adjusted once more, with a loss that outliers hardly
         move (Cauchy)."""
         # The principal point of a lens stays in the middle, unless it explains clearly more when it is free: it is
-        # hardly told from a turn of the camera, so that rolling shutters and blur would move it about.
-        freed = self._adjusted(model, free=True) if self._tells_middle(model) else None
+        # hardly distinguished from a turn of the camera, so that rolling shutters and blur would move it about.
+        freed = self._adjusted(model, free=True) if self._fixes_middle(model) else None
         gain = 0.0 if freed is None else 1.0 - mean_square(freed) / mean_square(model)
         return self._adjusted(model, free=gain > MIN_GAIN and _is_central(freed), robust=True)
 
-    def _tells_middle(self, model: Any) -> bool:
-        """Whether each camera has pictures enough to tell where its middle is."""
+    def _fixes_middle(self, model: Any) -> bool:
+        """Whether each camera has pictures enough to find its principal point."""
         pictures = [image.camera_id for image in model.images.values() if image.has_pose]
         return min(pictures.count(camera) for camera in set(pictures)) >= PICTURES_FOR_LENS
 
@@ -530,8 +531,8 @@ class Solver:
     def run_in_thread(
         self, function: Callable[..., Any], *arguments: Any, cancel: Callable[[], None] = lambda: None, **options: Any
     ) -> Any:
-        """Run a function of COLMAP in a thread, while this one hears interrupts and tells how far the step is; both end
-        before this returns."""
+        """Run a function of COLMAP in a thread, while this one takes interrupts and reports progress; both end before
+        this returns."""
         outcome: list[Any] = []
         failure: list[BaseException] = []
 

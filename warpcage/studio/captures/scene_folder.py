@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from ...core.reports import Progress
 from ...core.threads import cpu_threads
 from ...scene.box import FoundBox, find_box
 from ...scene.parsing import DYNAMIC_MASK
@@ -116,7 +117,7 @@ def write_scene(
     feature_size: int,  # longer side that pictures were shrunk to where they are longer, pixels
     *,
     masks: Sequence[PictureMask] | None = None,
-    progress: bool = False,
+    progress: bool | Progress = False,
 ) -> tuple[tuple[int, int], int]:
     """Write the pictures that have a camera, their masks and cameras and the points to an empty folder, in nerfstudio's
     conventions. Returns width and height of the pictures as they are written, and how many had another shape before."""

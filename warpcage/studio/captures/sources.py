@@ -5,15 +5,16 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
+import threading
 import warnings
 from collections.abc import Sequence
 
 import numpy as np
 
-from ...core import reports
 from ...core.checks import checked_path, listed, shown
 from ...core.files import require_file
 from ...core.names import agreed
+from ...core.reports import Progress, Reporter, report_progress
 from ...errors import InputError, MissingFileError
 from ...scene.parsing import DYNAMIC_MASK
 from ...view.pictures import MAX_PIXELS
@@ -173,26 +174,27 @@ def _has_pictures(folder: pathlib.Path) -> bool:
 
 
 class StepBar:
-    """A bar for one step, as a context, which also tells who hears of the capture.
-    total: None is not known; done: items that an earlier run did."""
+    """The progress of one step, as a context. total: None is not known; done: items that an earlier run did."""
 
-    def __init__(self, total: int | None, step: str, shown: bool, *, done: int = 0):
-        self._bar, self._total, self._step = reports.bar(total, step, done=done, shown=shown), total or 0, step
-        self.done = done
+    def __init__(self, total: int | None, step: str, progress: bool | Progress, *, done: int = 0):
+        self._progress, self._total, self._step, self.done = progress, total or 0, step, done
+        self._thread = threading.get_ident()
 
     def __enter__(self) -> StepBar:
         self.report()
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._bar.close()
+        if isinstance(self._progress, Reporter):
+            self._progress.close()
 
     def update(self, count: int = 1) -> None:
-        """Move it on. Only the thread that called warpcage tells, and ends the work by that."""
+        """Count items that are done."""
         self.done += count
-        self._bar.update(count)
         self.report()
 
     def report(self) -> None:
-        """Tell once more how far the step is."""
-        reports.report_progress(min(self.done, self._total) if self._total else self.done, self._total, self._step)
+        """Report how far the step is, in the thread that began it: only there can the caller end the work."""
+        if threading.get_ident() == self._thread:
+            done = min(self.done, self._total) if self._total else self.done
+            report_progress(self._progress, done, self._total, self._step)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...view.exr import screen_colors
-from ...view.film import one_thread
+from ..films.video import one_thread
 
 #: Transfer characteristics of ISO/IEC 23091-2 (H.273) that are tone-mapped, by their numbers: SMPTE ST 2084 and ARIB
 #: STD-B67, the two of BT.2100.

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...core.files import atomic_path, require_file, seen_note
 from ...core.names import agreed, counted
+from ...core.reports import Progress
 from ...core.threads import cpu_threads
 from ...errors import InputError
 from .sources import Source, StepBar, load_upright, shrink_factor
@@ -90,7 +91,7 @@ class FrameScores:
     transfer: str = ""  # "HLG" or "PQ" for videos of high dynamic range, which are tone-mapped
 
 
-def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
+def scan_video(path: pathlib.Path, *, progress: bool | Progress = False) -> FrameScores:
     """Decode a video once and measure each frame."""
     times, scores, steps, size, broken, before, transfer = [], [], [], None, [0], None, ""
     with _opened(path) as container:
@@ -130,7 +131,9 @@ def pick_frames(scores: FrameScores, count: int, least_step: float = MIN_STEP) -
     return np.sort(order[first])
 
 
-def write_frames(path: pathlib.Path, times: np.ndarray, files: list[pathlib.Path], *, progress: bool = False) -> None:
+def write_frames(
+    path: pathlib.Path, times: np.ndarray, files: list[pathlib.Path], *, progress: bool | Progress = False
+) -> None:
     """Write the frames of a video at ascending presentation times (k,) to k files (.png, .jpg), upright, but those that
     are there."""
     from PIL import Image
@@ -216,7 +219,7 @@ def _quarters(frame: Any) -> int:
 
 
 def shrink_all(
-    sources: Sequence[Source], folder: pathlib.Path, size: int, progress: bool
+    sources: Sequence[Source], folder: pathlib.Path, size: int, progress: bool | Progress
 ) -> tuple[list[str], np.ndarray]:
     """Write pictures, but those that are there, with longer sides of at most `size` pixels, at which features are
     looked for. Returns their file names, and (n,) how sharp each is."""

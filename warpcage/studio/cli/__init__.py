@@ -10,9 +10,9 @@ import sys
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; its words are those of sys.argv where `argv` is None. Returns the exit status:
+    """Run one command; `argv` None takes sys.argv. Returns the exit status:
     0 done, 1 examined and unusable, 2 failed, 130 interrupted, 143 terminated, 129 where the terminal was closed."""
-    try:  # around the import too: whoever interrupts the start wants no traceback either
+    try:  # around the import too: an interrupt at the start gives no traceback either
         return importlib.import_module(".program", __package__).run(argv)
     except KeyboardInterrupt:
         print("warpcage: interrupted", file=sys.stderr)

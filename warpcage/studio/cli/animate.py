@@ -22,19 +22,19 @@ from ...errors import InputError
 from ...field.voxel_field import VoxelField
 from ...view import motion
 from ...view.camera import Camera
-from ...view.film import checked_rate
-from ..editor.document import Document
 from ..editor.exports import DEFAULT_SIZE, export_film, film_look
 from ..editor.exports import Film as SessionFilm
 from ..editor.objects import read_fields, require_alone
 from ..editor.pictures.scene import view_camera
-from ..editor.session import read_session
 from ..editor.timeline import document_at, frame_rate, frame_times
+from ..films.document import Document
 from ..films.edits import Deformation
 from ..films.film import Film
 from ..films.folder import checked_film_path
 from ..films.render import require_voxels
+from ..films.session_file import read_session
 from ..films.timeline import MovingScene, Timeline
+from ..films.video import checked_rate
 from ..jobs.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs, frame_spec
 from ..jobs.items import ID
 from . import shared
@@ -109,9 +109,9 @@ def run_animate(args: argparse.Namespace) -> None:
     if args.overlay and args.show != "rgb":
         raise InputError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
     deformer = None if deformation is None else shared.deformer_options(args)
-    words = frame_spec(film.look, deformer, scale=film.scale, scene_scale=args.scene_scale) | {"outputs": parts}
+    spec = frame_spec(film.look, deformer, scale=film.scale, scene_scale=args.scene_scale) | {"outputs": parts}
     rate = {"frames": args.frames, "fps": str(args.fps)}
-    job = FilmJob(args.field, words, [] if deformation is None else deformation.edits, {"film": rate})
+    job = FilmJob(args.field, spec, [] if deformation is None else deformation.edits, {"film": rate})
     if jobs is not None:
         _say_jobs(jobs, job.write(jobs, _described(film, timeline)), cameras[0])
         return
@@ -176,18 +176,18 @@ def _render(args: argparse.Namespace, film: Film, scene: MovingScene, output: pa
     """Render the film or the folder here."""
     kept = 0
 
-    def told(numbers: Sequence[int]) -> Any:  # with a bar, which ends before an error is said
+    def with_bar(numbers: Sequence[int]) -> Any:  # the bar ends before an error is printed
         done = film.count - len(numbers)
         return bar(film.count, "animate", done=done, shown=not args.quiet, iterable=numbers)
 
     if output.suffix:
-        with told(range(film.count)) as numbers:
+        with with_bar(range(film.count)) as numbers:
             film.write(output, args.fps, loop=args.loop != "once", numbers=numbers)
     else:
         settings = _settings(args, film.cameras, scene.timeline.deformation)
         if scene.objects is not None:
             settings["objects"] = scene.objects.fingerprints()
-        kept = film.write_folder(output, settings, overwrite=bool(args.overwrite), told=told)
+        kept = film.write_folder(output, settings, overwrite=bool(args.overwrite), reported=with_bar)
     _say(film, scene, output, kept)
     warn_of_masks(film.mask_shares, "the film")
 
@@ -294,8 +294,8 @@ def session_job(
     settings, edits = document.settings, [edit for edit in document.edits if edit.visible]
     options = {name: getattr(settings, name) for name in ("coordinates", "resolution", "density")}
     look, outputs = film_look(document, field, film), {"outputs": {"rgb": f"{ID}.png"}}
-    words = frame_spec(look, None, scene_scale=scene_scale) | outputs  # these first: files stay as they were
-    words |= frame_spec(look, options if edits else None, scene_scale=scene_scale)
+    spec = frame_spec(look, None, scene_scale=scene_scale) | outputs  # these first: files stay as they were
+    spec |= frame_spec(look, options if edits else None, scene_scale=scene_scale)
     times = frame_times(document.timeline)
 
     def frames() -> Iterator[FilmFrame]:
@@ -305,4 +305,4 @@ def session_job(
             yield FilmFrame(index, view_camera(moment.view, film.width, film.height), poses)
 
     extra = {"film": {"frames": len(times), "fps": str(frame_rate(document.timeline))}}
-    return FilmJob(path, words, [edit.cage_edit for edit in edits], extra), frames()
+    return FilmJob(path, spec, [edit.cage_edit for edit in edits], extra), frames()

@@ -1,4 +1,4 @@
-"""`warpcage cage`, `check`, `pose`, `edits` and `edit`: cages made, examined and posed, by words and in the browser."""
+"""`warpcage cage`, `check`, `pose`, `edits` and `edit`: make, examine and pose cages, also in the browser."""
 
 from __future__ import annotations
 
@@ -36,15 +36,14 @@ from ...select.selection import NodeSelection, select_nodes
 from ...splats.io import splat_path
 from ...splats.splat_field import load_field
 from ...view.camera import CameraKey
-from ..editor.objects import stage_field
-from ..editor.session import free_session_path, session_path
 from ..films.edits import Deformation, PosedEdit, read_edits_file, write_edits_file
 from ..films.render import require_voxels
 from ..films.resolve import ending, note_jumps, pose_file, read_film, read_pose, read_poses, read_rest, say_standing
+from ..films.session_file import free_session_path, is_session, session_edits, session_path
 from . import shared
 from .arguments import options
 from .cameras import named_camera
-from .shared import is_session, parse_edit, posed_up, session_edits
+from .shared import parse_edit, posed_up
 
 if TYPE_CHECKING:
     import trimesh
@@ -262,14 +261,14 @@ def run_edits(args: argparse.Namespace) -> None:
         deformation, names = session_edits(args.file)
         _list(args.file, deformation, names)
         return
-    words = [] if args.file is None else read_edits_file(args.file)
-    words += [parse_edit(text) for text in args.edit or ()]
-    deformation = shared.edit_reader(args, "smooth").edits(words)
+    specs = [] if args.file is None else read_edits_file(args.file)
+    specs += [parse_edit(text) for text in args.edit or ()]
+    deformation = shared.edit_reader(args, "smooth").edits(specs)
     if output is not None:
         # each says which axis points up in its cages, and which object they are, where that was said for all
-        said = ((edit, edit.up or args.cage_up, edit.object or args.cage_object) for edit in words)
+        said = ((edit, edit.up or args.cage_up, edit.object or args.cage_object) for edit in specs)
         write_edits_file(output, [dataclasses.replace(edit, up=up, object=name) for edit, up, name in said])
-    _list(f"wrote {output}" if output is not None else str(args.file), deformation, [str(edit) for edit in words])
+    _list(f"wrote {output}" if output is not None else str(args.file), deformation, [str(edit) for edit in specs])
 
 
 def _list(what: str, deformation: Deformation, names: list[str]) -> None:
@@ -495,6 +494,7 @@ def _options(name: str, cage: Cage, args: argparse.Namespace) -> dict:
 def run_edit(args: argparse.Namespace) -> None:
     from ..editor.demo import demo_files  # here, as cages are posed without what fits and serves
     from ..editor.edit import edit, require_libraries
+    from ..editor.objects import stage_field
 
     # each pose would say so anew, with other numbers; the page shows what the cage does
     warnings.filterwarnings("ignore", message="a cage has gaps narrower")

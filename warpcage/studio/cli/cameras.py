@@ -16,16 +16,15 @@ import numpy as np
 from ...core.files import errors_of, read_json, seen_note
 from ...errors import InputError
 from ...render.belonging import SceneViews
-from ...scene.coverage import within_sight
 from ...scene.formats.datasets.splatting import CAMERAS, is_output
 from ...scene.formats.datasets.splatting import NAME as SPLATTING
 from ...scene.load import holding_format, load_scene
 from ...splats.splat_field import AnyField
 from ...view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
 from ...view.camera_file import camera_program
-from ...view.camera_path import CameraMove, MovingCamera, camera_moves
-from ...view.motion import cameras_along
 from ..films.edits import Deformation
+from ..films.motion import cameras_along
+from ..films.moves import CameraMove, MovingCamera, camera_moves, within_sight
 from ..films.resolve import file_and_name
 from ..films.timeline import SIDES, CameraTrack, Timeline, keyed_track, middle, moving_track
 from .arguments import options
@@ -79,7 +78,7 @@ def named_camera(args: argparse.Namespace, text: str) -> Camera:
 
 
 def camera_file(text: str) -> tuple[str, str] | None:
-    """File and name of a camera ("" for all) where a word names a camera file, None for other words."""
+    """File and name of a camera ("" for all) where a text names a camera file, else None."""
     return file_and_name(text, "json|glb|gltf")
 
 
@@ -184,7 +183,7 @@ def splatting_output(path: str) -> bool:
 
 def seen_cameras(args: argparse.Namespace, field: AnyField) -> list[Camera]:
     """The cameras that saw what a field shows, as far as they are known: those that its fit refined, or else those of
-    the scene that --camera names; none where nobody says."""
+    the scene that --camera names; none where neither is known."""
     refined = getattr(field, "refined_cameras", None)
     if refined is not None:
         return refined.cameras
@@ -206,7 +205,7 @@ def _loaded(path: str, split: str) -> SceneViews:
 
 def named_scene(args: argparse.Namespace) -> tuple[pathlib.Path, SceneViews] | None:
     """The folder and the views of the scene whose cameras a command's options name; None where they name none, or one
-    that cannot be read, which is told where its cameras are taken."""
+    that cannot be read, which is reported where its cameras are taken."""
     camera, _, index = (getattr(args, "camera", None) or "").rpartition(":")
     path_of_film = None if getattr(args, "turn", None) is not None else getattr(args, "cameras", None)
     for text in (getattr(args, "scene", None), path_of_film, camera):

@@ -18,9 +18,9 @@ from .arguments import options
 
 
 def run_demo(arguments: argparse.Namespace) -> None:
-    """The example of the whole way, as it stands in the wheel."""
-    words = ["--out", arguments.output, *(["--device", arguments.device] if arguments.device else [])]
-    importlib.import_module("warpcage.examples.render_lego").main(words)
+    """Run the example, from data to a posed picture, that the wheel holds."""
+    argv = ["--out", arguments.output, *(["--device", arguments.device] if arguments.device else [])]
+    importlib.import_module("warpcage.examples.render_lego").main(argv)
 
 
 class Finding(NamedTuple):
@@ -47,13 +47,13 @@ EXTRAS = {
     "usd": "cages and meshes in USD",
     "texture": "meshes with textures",
     "cluster": "clusters of several machines",
-    "completion": "words of commands in the shell",
+    "completion": "completion of commands in the shell",
 }
 
 #: Memory and disk that scenes of usual size want to be free, bytes.
 LITTLE_MEMORY, LITTLE_DISK = 4 << 30, 1 << 30
 
-#: Most that the picture and the points of the self-test differ from what is worked out by hand.
+#: Largest errors of the picture and the points of the self-test.
 PICTURE_ERROR, POINT_ERROR = 0.02, 1e-4
 
 
@@ -187,7 +187,7 @@ def _memory() -> Iterator[Finding]:
 
     free = free_host_bytes()
     if free == UNKNOWN:
-        yield Finding("note", "memory", "this system does not tell how much is free")
+        yield Finding("note", "memory", "this system does not say how much is free")
     elif free < LITTLE_MEMORY:
         text = f"{free / 2**30:.1f} GiB free: close other programs, or take small pictures (--downscale, --max-memory)"
         yield Finding("note", "memory", text)
@@ -222,7 +222,7 @@ def _extras() -> Iterator[Finding]:
 
 
 def _self_test(name: str | None) -> Iterator[Finding]:
-    """A picture of a cube, and points in a cage that is moved, against what is worked out by hand."""
+    """A picture of a cube, and points in a cage that is moved, against what is computed by formulas."""
     import numpy as np
     import warp as wp
 

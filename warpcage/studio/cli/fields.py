@@ -16,7 +16,7 @@ from ...core.files import atomic_path, require_file
 from ...core.memory import require_host_memory
 from ...core.names import counted
 from ...deform.bake import bake
-from ...deform.deformer import SplatDeformer
+from ...deform.deformer import Deformer
 from ...deform.stage import Stage
 from ...edits.maps import carried_points
 from ...errors import InputError
@@ -87,7 +87,7 @@ def run_bake(args: argparse.Namespace) -> None:
         baked = field
     else:
         deformer = shared.make_deformer(field, deformation, args).pose(deformation.posed)
-        if isinstance(deformer, SplatDeformer):
+        if isinstance(deformer.field, SplatField):
             if args.frames is not None:
                 return _write_sequence(deformer, deformation, args)
             _write_splats(deformer.baked(), output)
@@ -129,7 +129,7 @@ def _write_voxels(field: VoxelField, output: pathlib.Path, format: str = "warpca
     )
 
 
-def _write_sequence(deformer: SplatDeformer, deformation: Deformation, args: argparse.Namespace) -> None:
+def _write_sequence(deformer: Deformer, deformation: Deformation, args: argparse.Namespace) -> None:
     """Files of the poses from rest to the last one, evenly."""
     places = np.linspace(0.0, deformation.pose_count - 1.0, args.frames)
     written = deformer.save_sequence(args.output, (deformation.at(place) for place in places), overwrite=args.overwrite)
@@ -327,7 +327,7 @@ def run_select(args: argparse.Namespace) -> None:
 
 
 def _chosen_size(chosen: NodeSelection) -> str:
-    """How much is chosen, in words such as "12000 voxels"."""
+    """How much is chosen, as text such as "12000 voxels"."""
     of_splats, nodes = splat_matter(chosen), int(np.count_nonzero(chosen.mask))
     if of_splats is None:
         return counted(nodes, "voxel")

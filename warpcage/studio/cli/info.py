@@ -301,7 +301,7 @@ def _json(path: pathlib.Path) -> Rows:
             return [("kind", f"cameras of {program}"), *_cameras(path)[1:]]
         if content.keys() == {"transform", "scale"}:
             raise InputError("a frame of nerfstudio (dataparser_transforms.json): give it as --frame, beside its field")
-        kind = content.get("format", "warpcage place" if content.keys() & PLACE_KEYS else None)  # made by hand
+        kind = content.get("format", "warpcage place" if content.keys() & PLACE_KEYS else None)  # hand-written
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     if kind == "warpcage session":
@@ -444,7 +444,7 @@ def _seen(
 
 
 def _bounds(scene: Scene) -> np.ndarray | None:
-    """The box of a scene's object, outlines not looked at; None where its cameras do not tell."""
+    """The box of a scene's object, outlines not looked at; None where its cameras do not show it."""
     try:
         return scene_box(scene).bounds
     except ValueError:

@@ -1,4 +1,4 @@
-"""One command from its words to an exit status: parser, signals, streams, and one line for whatever ends it."""
+"""One command from its arguments to an exit status: parser, signals, streams, and one line for what ends it."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="command", parser_class=_Parser)
     for name in ORDER:
         command = COMMANDS[name]
-        words = commands.add_parser(
+        subparser = commands.add_parser(
             name,
             help=command.help,
             description=command.help[0].upper() + command.help[1:] + ".",
@@ -74,9 +74,9 @@ def build_parser() -> argparse.ArgumentParser:
         )
         if name in _FIRST:
             text = "show the usual options and exit; --help all: show all of them"
-            words.add_argument("-h", "--help", action=_Help, first=_FIRST[name].split(), metavar="all", help=text)
-        command.add_arguments(words)
-        words.add_argument("--verbose", action="store_true", help="also say what is loaded and tried")
+            subparser.add_argument("-h", "--help", action=_Help, first=_FIRST[name].split(), metavar="all", help=text)
+        command.add_arguments(subparser)
+        subparser.add_argument("--verbose", action="store_true", help="also say what is loaded and tried")
     return parser
 
 
@@ -173,7 +173,7 @@ def ended_by_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-#: What a stream reports that nobody reads any more.
+#: Errors of a stream whose reader is gone.
 _GONE = (errno.EPIPE, errno.EBADF)
 
 
@@ -266,7 +266,7 @@ def _line(error: Exception | str) -> str:
 
 def _run_command(argv: list[str] | None) -> int:
     parser = build_parser()
-    if "_ARGCOMPLETE" in os.environ:  # a shell asks what words may follow
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions
         importlib.import_module("argcomplete").autocomplete(parser)
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
@@ -275,16 +275,16 @@ def _run_command(argv: list[str] | None) -> int:
             parser.print_help()
             return 2
         quiet = getattr(arguments, "quiet", False)
-        reports.show_log("info" if arguments.verbose and not quiet else reports.asked_level())
+        reports.show_log("info" if arguments.verbose and not quiet else reports.requested_level())
         watched = sys.stderr.isatty() and not quiet
-        reports.say = _tell_of_compiling if watched else None
-        with _told_folders(arguments, quiet), _early_workers(arguments):
+        reports.on_compiling = _report_compiling if watched else None
+        with _reporting_folders(arguments, quiet), _early_workers(arguments):
             return _command(arguments.command)(arguments) or 0
 
 
 @contextlib.contextmanager
-def _told_folders(arguments: argparse.Namespace, quiet: bool) -> Iterator[None]:
-    """Say which folders a command made for its files; where it fails, those that stayed empty go again."""
+def _reporting_folders(arguments: argparse.Namespace, quiet: bool) -> Iterator[None]:
+    """Print which folders a command made for its files; where it fails, those that stayed empty go again."""
     given = [os.path.dirname(value) for value in vars(arguments).values() if isinstance(value, str | os.PathLike)]
     missing = {folder: _missing(folder) for folder in given if folder and not os.path.isdir(folder)}
     try:
@@ -331,8 +331,8 @@ def _command(name: str) -> Callable[[argparse.Namespace], int | None]:
             gc.enable()
 
 
-def _tell_of_compiling() -> None:
-    """Whoever sits before a terminal would wonder."""
+def _report_compiling() -> None:
+    """Explain the wait to who watches a terminal."""
     print("warpcage: compiling kernels, once on this machine, which may take a minute", file=sys.stderr)
 
 

@@ -17,16 +17,15 @@ from ...edits.stage_file import STAGE_ENDING
 from ...errors import InputError
 from ...view import frame_parts
 from ...view.camera import Camera
-from ...view.camera_path import path_cameras
 from ...view.exr import require_openexr
-from ...view.film import FILM_ENDINGS, film_size, require_clear_film
 from ...view.frame_parts import MASKS
-from ...view.motion import cameras_along
 from ...view.pictures import picture_cuts, write_png
 from ..films.edits import Deformation
 from ..films.film import Film, Moment
+from ..films.motion import cameras_along, path_cameras
 from ..films.render import Scene, drawn_cages, picture_task, require_voxels
 from ..films.timeline import Objects
+from ..films.video import FILM_ENDINGS, film_size, require_clear_film
 from . import shared
 from .arguments import options
 from .arguments.render import STEPS
@@ -52,7 +51,7 @@ def require_format(path: str | os.PathLike[str]) -> None:
 
 
 def size_text(width: int, height: int, output: pathlib.Path) -> str:
-    """The size of what is written, in words, and why it is not that of the pictures where it is not."""
+    """The size of what is written as text, with the reason where it differs from that of the pictures."""
     written = film_size(width, height, output.suffix.lower())
     cut = f" (cut from {width}x{height}: an MP4 has even sides)" if written != (width, height) else ""
     return f"{written[0]}x{written[1]}{cut}"

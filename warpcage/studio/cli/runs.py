@@ -15,9 +15,10 @@ import numpy as np
 
 from ...cage.cage import Cage
 from ...cage.random_poses import RandomPoses
+from ...coordinate_kinds import COORDINATE_KINDS, names_where
 from ...core.arrays import box_corners
-from ...core.files import NpyFile
 from ...core.names import BACKGROUNDS, TRANSPARENT, counted
+from ...core.npz import NpyFile
 from ...core.reports import bar, say_above_bar, span_text
 from ...core.threads import cpu_threads
 from ...errors import InputError
@@ -150,7 +151,7 @@ def run_sweep(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, (".jsonl", ".json"), "job file")
     image_size(args)
     background = _background(args)
-    _check_words(args)
+    _check_arguments(args)
     field = shared.read_field(args)
     rest, expected = read_rest(args.cage, args.cage_up, field, name=args.cage_object)
     sources = _pose_sources(args, rest, expected)
@@ -192,7 +193,7 @@ def run_sweep(args: argparse.Namespace) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Told(RandomSource):
+class _RandomWithBar(RandomSource):
     """Random poses, with a bar of how many are drawn."""
 
     quiet: bool = False
@@ -202,18 +203,20 @@ class _Told(RandomSource):
         yield from bar(count, "poses", shown=not self.quiet, stays=False, iterable=super().rows(most))
 
 
-def _check_words(args: argparse.Namespace) -> None:
+def _check_arguments(args: argparse.Namespace) -> None:
     """Refuse what cannot be before anything is loaded."""
     for text in args.poses:
         _random_count(text, "--poses")
     if re.match(r"orbit(:|$)", args.cameras):
-        _orbit_words(args.cameras)
+        _orbit_numbers(args.cameras)
     if _random_count(args.cameras, "--cameras") is not None and args.views is not None:
         raise InputError("--views chooses among cameras that all poses share: random:N makes N new ones for each pose")
     if len(set(args.seeds)) < len(args.seeds):
         raise InputError(f"--seeds names one twice: {' '.join(map(str, args.seeds))}")
-    if args.resolution is None and "harmonic" in args.coordinates:
-        raise InputError("harmonic coordinates have no closed form: --resolution precise is for mean_value and green")
+    if args.resolution is None:
+        remedy = f"--resolution precise is for {' and '.join(names_where('is_precise'))}"
+        for name in args.coordinates:
+            COORDINATE_KINDS[name].require_precise(remedy)
 
 
 def _background(args: argparse.Namespace) -> str | list[float] | None:
@@ -232,7 +235,7 @@ def _background(args: argparse.Namespace) -> str | list[float] | None:
 
 
 def _random_count(text: str, option: str) -> int | None:
-    """N of random:N, None for other words."""
+    """N of random:N, None for any other text."""
     if not re.match(r"random(:|$)", text):
         return None
     found = re.fullmatch(r"random:(\d{1,9})", text)
@@ -251,7 +254,7 @@ def _pose_sources(args: argparse.Namespace, rest: Cage, expected: dict[str, str]
         if count is not None:
             options_ = {"stretch": args.stretch, "reach": args.reach, "modes": args.modes}
             drawn = [RandomPoses(rest, seed=seed, **options_) for seed in args.seeds]
-            sources += [_Told(poses, count, args.write_poses, cpu_threads(), args.quiet) for poses in drawn]
+            sources += [_RandomWithBar(poses, count, args.write_poses, cpu_threads(), args.quiet) for poses in drawn]
         elif _is_array(text):
             sources.append(_array_source(text, rest))
         else:
@@ -301,13 +304,13 @@ def _made_cameras(
     count = _random_count(args.cameras, "--cameras")
     if count is not None:
         return RandomViews(count, points, args.seeds[0], up, args.fov, width, height)
-    number, elevation = _orbit_words(args.cameras)
+    number, elevation = _orbit_numbers(args.cameras)
     return framing_orbit(
         points, number, elevation_degrees=elevation, up=up, fov_degrees=args.fov, width=width, height=height
     )
 
 
-def _orbit_words(text: str) -> tuple[int, float]:
+def _orbit_numbers(text: str) -> tuple[int, float]:
     """Number and elevation of orbit:N[:ELEVATION]."""
     found = re.fullmatch(r"orbit:(\d{1,6})(?::(-?\d+(?:\.\d+)?))?", text)
     elevation = ELEVATION if found is None or found[2] is None else float(found[2])

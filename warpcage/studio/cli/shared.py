@@ -17,7 +17,7 @@ from ...cage.cage import Cage
 from ...cage.up_axis import object_points
 from ...core.checks import warn_caller
 from ...core.devices import resolve_device
-from ...core.files import PathLike, read_json, require_file
+from ...core.files import PathLike, require_file
 from ...core.names import BACKGROUNDS, TRANSPARENT
 from ...deform.deformer import Deformer
 from ...deform.stage import Stage
@@ -37,12 +37,10 @@ from ...splats.io.formats import endings_written
 from ...splats.splat_field import AnyField, SplatField, load_field
 from ...view.alignment import Similarity
 from ...view.camera import Camera
-from ..editor.document import MAIN
-from ..editor.session import FORMAT as SESSION_FORMAT
-from ..editor.session import read_session
 from ..films import render
-from ..films.edits import Deformation, EditReader, Keyframes, PosedEdit, named, read_edits_file
+from ..films.edits import Deformation, EditReader, read_edits_file
 from ..films.render import Look
+from ..films.session_file import is_session, session_edits
 from ..films.timeline import Objects, shown_corners
 from .arguments import options
 from .arguments.options import CAGE_ENDINGS, positive_float
@@ -58,7 +56,7 @@ def edit_reader(
 
 
 def read_deformation(args: argparse.Namespace, field: AnyField, reader: EditReader | None = None) -> Deformation | None:
-    """The deformation that a command's options name, None where nothing is deformed; the field tells the axes of cage
+    """The deformation that a command's options name, None where nothing is deformed; the field gives the axes of cage
     files. reader: None takes one pose an edit."""
     reader = reader or edit_reader(args)
     ways = [f"--{name}" for name in ("cage", "edit", "edits") if getattr(args, name) is not None]
@@ -75,8 +73,8 @@ def read_deformation(args: argparse.Namespace, field: AnyField, reader: EditRead
         return Deformation([reader.edit(EditSpec(args.cage, texts[0]), texts, field)])
     if args.edits is not None:
         return edits_of_file(args.edits, reader, field)
-    words = [parse_edit(text) for text in args.edit or ()]
-    return reader.edits(words, field) if words else None
+    specs = [parse_edit(text) for text in args.edit or ()]
+    return reader.edits(specs, field) if specs else None
 
 
 def edits_of_file(path: str, reader: EditReader, field: AnyField) -> Deformation:
@@ -91,13 +89,13 @@ def posed_up(args: argparse.Namespace) -> str | None:
     return getattr(args, "posed_up", None) or args.cage_up
 
 
-#: How an edit is written in one word.
+#: How an edit is written in one argument.
 EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remove"
 
-#: Words after the cages.
-_LAST_WORD = re.compile(r"(keep|remove)|(falloff|fragments|crumbs|held|object)=([^:]*)")
+#: Options after the cages.
+_LAST_OPTION = re.compile(r"(keep|remove)|(falloff|fragments|crumbs|held|object)=([^:]*)")
 
-#: A word that is none of them, after a posed cage: only glTF and pose files hold objects with names.
+#: A text that is none of them, after a posed cage: only glTF and pose files hold objects with names.
 _SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
 
 #: The cage is what goes up to the first ending of a cage file that a colon or the end follows: so the colon of a
@@ -112,34 +110,34 @@ def parse_edit(text: str) -> EditSpec:
     if found is None:
         raise InputError(f"--edit {text!r} names no cage file ({' '.join(CAGE_ENDINGS)}): write {EDIT_SHAPE}")
     cage, rest = found[1], found[2]
-    words: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     while rest is not None:
         before, _, last = rest.rpartition(":")
-        word = _LAST_WORD.fullmatch(last)
-        if word is None or pathlib.Path(rest).exists():
+        found = _LAST_OPTION.fullmatch(last)
+        if found is None or pathlib.Path(rest).exists():
             break
-        name = word[1] or word[2]
+        name = found[1] or found[2]
         if name == "crumbs":
-            warn_caller("crumbs= is called fragments= now: the next version knows that name alone")
+            warn_caller("crumbs= is called fragments= now: the old name goes with the next version")
             name = "fragments"
-        words[name] = word[3] if word[2] else True
+        options[name] = found[3] if found[2] else True
         rest = before or None
     try:
         if rest is not None and (slip := _SLIP.fullmatch(rest)) and not pathlib.Path(rest).exists():
             raise InputError(
                 f"{slip[1]!r} is unknown in an edit, which takes keep, remove, falloff=, held=, fragments= and object="
             )
-        words |= {name: positive_float(words[name]) for name in ("falloff", "fragments") if name in words}
-        words |= {"held": held_walls(words["held"], "held")} if "held" in words else {}
-        if not rest and not words.get("remove"):
+        options |= {name: positive_float(options[name]) for name in ("falloff", "fragments") if name in options}
+        options |= {"held": held_walls(options["held"], "held")} if "held" in options else {}
+        if not rest and not options.get("remove"):
             raise InputError(f"there is no posed cage: write {EDIT_SHAPE}")
-        return EditSpec(cage, rest or None, **words)
+        return EditSpec(cage, rest or None, **options)
     except (ValueError, argparse.ArgumentTypeError) as error:
         raise InputError(f"--edit {text!r}: {error}") from None
 
 
 def parse_add(text: str) -> tuple[str, str | None, str | None]:
-    """Field, place file and edits file of a word of --add: FIELD, FIELD:PLACE or FIELD:PLACE:EDITS; "" is none."""
+    """Field, place file and edits file of a value of --add: FIELD, FIELD:PLACE or FIELD:PLACE:EDITS; "" is none."""
     # the colon of a Windows drive (C:\field.npz) separates nothing
     parts = re.split(r":(?![\\/])|(?<!^[A-Za-z])(?<!:[A-Za-z]):", text)
     if len(parts) > 3 or not parts[0]:
@@ -151,33 +149,6 @@ def parse_add(text: str) -> tuple[str, str | None, str | None]:
 def is_deformed(args: argparse.Namespace) -> bool:
     """Whether options name a deformation."""
     return any(getattr(args, name, None) is not None for name in ("cage", "edit", "edits"))
-
-
-def is_session(path: str) -> bool:
-    """Whether a file of --edits is a session of the editor. Raises for a file that is not there or no JSON."""
-    file = require_file(path, "edits file")
-    try:
-        return read_json(file, "edits file").get("format") == SESSION_FORMAT
-    except ValueError as error:
-        raise InputError(f"{file}: {error}") from None
-
-
-def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformation, list[str]]:
-    """The visible edits of a session's own field, in the poses that it was left in, and a line on each edit."""
-    visible = [edit for edit in read_session(path).edits_of(MAIN) if edit.visible]
-    if not visible:
-        raise InputError(f"{path}: the session has no visible edit")
-    parts = []
-    for edit in visible:
-        with named(f"{path}: edit {edit.name!r}"):
-            cage_edit, keyframes = edit.cage_edit, None
-            if not cage_edit.remove:
-                keyframes = Keyframes(cage_edit.cage, [], interpolation or "smooth")
-                posed = cage_edit.cage.with_vertices(edit.posed)
-                posed.require_usable("the posed cage")
-                keyframes.cages.append(posed)
-            parts.append(PosedEdit(cage_edit, keyframes))
-    return Deformation(parts), [f"{edit.name}: {edit.kind}" for edit in visible]
 
 
 def chosen_device(args: argparse.Namespace) -> wp.Device:
@@ -211,7 +182,7 @@ def in_world_of_scene(
     args: argparse.Namespace, field: AnyField, named: tuple[pathlib.Path, SceneViews] | None
 ) -> AnyField:
     """A field taken out of nerfstudio's frame where that is asked for, or a file beside says so and it then shows the
-    scene's pictures; told like fields that do not. named: folder and views of the scene, in the world of its files."""
+    scene's pictures; fields that do not are reported. named: folder and views of the scene, in its files' world."""
     source = None if named is None else named[1].to_source
     given = getattr(args, "frame_file", None)
     if given is not None:
@@ -222,7 +193,7 @@ def in_world_of_scene(
     if named is None:
         return field
     folder, views = named[0], named[1].moved(field.straightening)
-    if (words := mismatch(field, views)) is None:
+    if (reason := mismatch(field, views)) is None:
         return field
     beside = {path.resolve(): path for path in (pathlib.Path(args.field).parent / FRAME_FILE, folder / FRAME_FILE)}
     for path in beside.values() if given is None and isinstance(field, SplatField) else ():
@@ -232,15 +203,15 @@ def in_world_of_scene(
             if not likeness(field, views.glimpses, motion).is_doubtful:
                 _say_moved(args, path, frame, motion)
                 return moved_field(field, motion)
-            words += f", nor does {path}"
+            reason += f", nor does {path}"
     print(
-        f"warpcage: warning: {args.field} and the cameras of {folder} do not belong together: {words}", file=sys.stderr
+        f"warpcage: warning: {args.field} and the cameras of {folder} do not belong together: {reason}", file=sys.stderr
     )
     return field
 
 
 def _say_moved(args: argparse.Namespace, path: PathLike, frame: Similarity, motion: Similarity) -> None:
-    """Tell that a field was taken out of nerfstudio's frame; set `args.is_moved`, and `args.frame_motion` by which."""
+    """Report that a field was taken out of nerfstudio's frame; set `args.is_moved` and `args.frame_motion`."""
     args.is_moved, args.frame_motion = True, motion  # camera paths of nerfstudio go along
     print(
         f"warpcage: {args.field} is moved out of nerfstudio's coordinates by {path}: {1.0 / frame.scale:.4g} times as "
@@ -367,7 +338,7 @@ def chosen_look(args: argparse.Namespace) -> Look:
     """How the options have frames rendered."""
     background = TRANSPARENT if is_transparent(args) else args.background
     show = getattr(args, "show", "rgb")
-    return Look(background, bool(args.fill), None, args.antialias, show, bool(args.overlay))
+    return Look(background, None, args.antialias, fill=bool(args.fill), show=show, overlay=bool(args.overlay))
 
 
 def require_fillable(args: argparse.Namespace, field: AnyField) -> None:

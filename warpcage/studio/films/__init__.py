@@ -1,4 +1,4 @@
-"""Films: what words of poses, cameras and edits name, a timeline of them, their frames, files and folders."""
+"""Films: the poses, cameras and edits that arguments name, a timeline of them, their frames, files and folders."""
 
 from ...package import lazy_exports
 
@@ -8,8 +8,11 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "edits": "Deformation EditReader Keyframes PosedEdit read_edits_file write_edits_file",
         "film": "Film",
         "folder": "atomic_folder checked_film_path frame_files frame_path make_folder",
+        "motion": "cameras_along frame_places path_cameras pose_along pose_weights",
+        "moves": "CameraMove MovingCamera camera_moves",
         "render": "Look",
         "timeline": "MovingScene Objects Timeline",
         "resolve": "read_pose read_poses",
+        "video": "deep_pixels read_film_frame with_spread_colors write_film write_film_frame write_gif write_video",
     },
 )

@@ -1,4 +1,4 @@
-"""Edits of a scene with the poses that their cages go through: read from words and from edits files."""
+"""Edits of a scene with the poses that their cages go through: read from arguments and from edits files."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from ...cage.axes import with_up
 from ...cage.cage import Cage
 from ...cage.pose_file import PoseFile, cage_hash
 from ...cage.presets import Preset, is_preset
-from ...core.files import PathLike, atomic_path, path_from, read_json, require_file
+from ...core.files import PathLike, atomic_path, path_from, read_document, require_file
 from ...edits.edits import MAX_EDITS, CageEdit, edit_from_spec
 from ...edits.spec import EditSpec
 from ...errors import InputError
 from ...splats.splat_field import AnyField
-from ...view.motion import pose_along, value_along
+from ...view.motion import value_along
+from .motion import pose_along
 from .resolve import expected_ups, only_pose, read_film, read_poses, read_rest
 
 
@@ -33,12 +34,12 @@ class Keyframes:
     def __init__(
         self,
         rest: Cage,
-        texts: list[str],  # words of --posed, in order
+        texts: list[str],  # values of --posed, in order
         interpolation: str,  # "smooth" or "linear"
         up: str | None = None,  # "y" or "z"; None finds it from the rest cage, file by file
         expected: Mapping[str, str] | None = None,  # axis by ending of cage files where nothing speaks for another
         *,
-        timed: bool = False,  # words that say when each pose is reached make a film of their own: see `read_film`
+        timed: bool = False,  # poses that have times make a film of their own: see `read_film`
         fps: Fraction | None = None,  # rate of numbered cage files in such a film; None is the usual one
     ):
         self.rest, self.interpolation = rest, interpolation
@@ -145,14 +146,14 @@ class Deformation:
 
     def fingerprints(self) -> dict[str, list[str]]:
         """Hashes of the edits, "cage", and of their poses, "posed": all that decides how the scene moves."""
-        words = ([e.keep_source, e.remove, e.falloff, e.held, e.fragments] for e in self.edits)
-        cages = [_hash([cage_hash(edit.cage), *each]) for edit, each in zip(self.edits, words, strict=True)]
+        settings = ([e.keep_source, e.remove, e.falloff, e.held, e.fragments] for e in self.edits)
+        cages = [_hash([cage_hash(edit.cage), *each]) for edit, each in zip(self.edits, settings, strict=True)]
         return {"cage": cages, "posed": [_pose_hash(part) for part in self.parts]}
 
 
 @dataclasses.dataclass(frozen=True)
 class EditReader:
-    """Reads edits as their words have them; its attributes hold for all edits that say nothing else."""
+    """Reads edits by their specs; its attributes hold for all edits that say nothing else."""
 
     interpolation: str | None = None  # "smooth" or "linear" between several poses of an edit; None takes one pose
     up: str | None = None  # axis that points up in cage files, "y" or "z", and in those of poses; None finds it
@@ -160,34 +161,34 @@ class EditReader:
     object: str | None = None  # the object of its file that is the cage; None is the only one
     falloff: float = 0.0  # world units, as `CageEdit` has it, and so `fragments`
     fragments: float = 0.0
-    timed: bool = False  # words that say when each pose is reached make a film of their own: see `read_film`
+    timed: bool = False  # poses that have times make a film of their own: see `read_film`
     fps: Fraction | None = None  # rate of numbered cage files in such a film; None is the usual one
 
-    def edits(self, words: Sequence[EditSpec], field: AnyField | None = None) -> Deformation:
+    def edits(self, specs: Sequence[EditSpec], field: AnyField | None = None) -> Deformation:
         """Several edits; messages say which is wrong. Without a field axes are those of the formats."""
-        if len(words) > MAX_EDITS:
-            raise InputError(f"a scene takes at most {MAX_EDITS} edits, got {len(words)}")
+        if len(specs) > MAX_EDITS:
+            raise InputError(f"a scene takes at most {MAX_EDITS} edits, got {len(specs)}")
         parts = []
-        for number, edit in enumerate(words, 1):
-            with named(f"edit {number} of {len(words)}"):
+        for number, edit in enumerate(specs, 1):
+            with named(f"edit {number} of {len(specs)}"):
                 parts.append(self.edit(edit, [] if edit.posed is None else [edit.posed], field, part=True))
         return Deformation(parts)
 
-    def edit(self, words: EditSpec, texts: list[str], field: AnyField | None, part: bool = False) -> PosedEdit:
-        """An edit with the cages that its words name. texts: those of its poses; part: whether it is one of several."""
+    def edit(self, spec: EditSpec, texts: list[str], field: AnyField | None, part: bool = False) -> PosedEdit:
+        """An edit with the cages that its spec names. texts: those of its poses; part: whether it is one of several."""
         upward = None if field is None else field.up.tolist()
-        rest, expected = read_rest(words.cage, words.up or self.up, field, part=part, name=words.object or self.object)
+        rest, expected = read_rest(spec.cage, spec.up or self.up, field, part=part, name=spec.object or self.object)
         texts = [with_up(text, upward) if is_preset(text) else text for text in texts]
-        falloff = 0.0 if words.remove else self.falloff if words.falloff is None else words.falloff
-        if words.held != "cut" and not falloff and not words.remove:
+        falloff = 0.0 if spec.remove else self.falloff if spec.falloff is None else spec.falloff
+        if spec.held != "cut" and not falloff and not spec.remove:
             raise InputError(
                 "held names the sides that an edit fades towards: give it a falloff=WIDTH, or leave held out"
             )
-        size = self.fragments if words.fragments is None else words.fragments
-        edit = edit_from_spec(dataclasses.replace(words, falloff=falloff, fragments=size), rest)
-        if words.remove:
+        size = self.fragments if spec.fragments is None else spec.fragments
+        edit = edit_from_spec(dataclasses.replace(spec, falloff=falloff, fragments=size), rest)
+        if spec.remove:
             return PosedEdit(edit, None)
-        up = words.up or self.posed_up or self.up
+        up = spec.up or self.posed_up or self.up
         keyframes = Keyframes(rest, texts, self.interpolation or "smooth", up, expected, timed=self.timed, fps=self.fps)
         if self.interpolation is None and len(keyframes.cages) > 2:
             keyframes.cages[1:] = [only_pose(rest, texts[0], up, keyframes.cages[1:])]
@@ -235,17 +236,10 @@ def read_edits_file(path: PathLike) -> list[EditSpec]:
     """The edits of an edits file in their order; paths, relative to its folder there, as this process opens them."""
     path = require_file(path, "edits file")
     try:
-        content = read_json(path, "edits file")
-        if content.get("format") != FORMAT:
-            raise InputError(f"its format is {str(content.get('format'))[:40]!r}, not {FORMAT!r}")
-        version, edits = content.get("version"), content.get("edits")
-        if type(version) is not int or version < 1:
-            raise InputError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
-        if version > VERSION:
-            raise InputError(f"its version is {version}, this warpcage reads up to {VERSION}: upgrade")
+        edits = read_document(path, "edits file", FORMAT, VERSION, format=None, version=None).get("edits")
         if not isinstance(edits, list) or not edits:
             raise InputError("its edits must be a list of at least one edit")
-        return [_words(edit, number, path.parent) for number, edit in enumerate(edits, 1)]
+        return [_checked_spec(edit, number, path.parent) for number, edit in enumerate(edits, 1)]
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -259,9 +253,9 @@ def write_edits_file(path: PathLike, edits: list[EditSpec]) -> None:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _words(entry: Any, number: int, folder: pathlib.Path) -> EditSpec:
+def _checked_spec(entry: Any, number: int, folder: pathlib.Path) -> EditSpec:
     """One edit of a file."""
-    # what a later version adds has a higher version: an unknown word is a slip, and would be lost in silence
+    # what a later version adds has a higher version: an unknown key is a typing error, which must not be lost silently
     edit = EditSpec.from_json(entry, f"edit {number}")
     if not isinstance(edit.cage, str) or not isinstance(edit.posed, str | None):
         raise InputError(f"edit {number}: its cage and its pose must be named in a text, as for --edit")

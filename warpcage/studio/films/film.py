@@ -19,7 +19,7 @@ from ...cage.cage import Cage
 from ...cage.pose_file import DEFAULT_RATE, PoseFile, posed_cage
 from ...core.checks import checked_path, checked_positive, checked_whole, require_type, shown
 from ...core.files import PathLike
-from ...core.names import MOVE_HELP, counted, require_name
+from ...core.names import MOVE_HELP, checked_choice, counted
 from ...core.overlap import BackgroundWriter
 from ...core.reports import Progress, report_progress, reports_progress
 from ...deform.deformer import Deformer
@@ -33,15 +33,17 @@ from ...render.surface_mesh import SurfaceMesh
 from ...splats.splat_field import SplatField
 from ...view import frame_parts
 from ...view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
-from ...view.camera_path import CameraMove, MovingCamera, camera_at, camera_moves, path_cameras
+from ...view.camera_path import camera_at
 from ...view.exr import mean_picture, require_openexr
-from ...view.film import checked_rate, require_clear_film, write_film
 from ...view.frame import Frame
 from ...view.motion import frame_rate, frame_times
 from ...view.pictures import picture_cuts
 from .folder import checked_film_path, frame_path, make_folder
+from .motion import path_cameras
+from .moves import CameraMove, MovingCamera, camera_moves
 from .render import Look, Scene, drawn_cages, finished, picture_task
 from .timeline import SIDES, CameraTrack, middle, moving_track, shown_corners
+from .video import checked_rate, require_clear_film, write_film
 
 #: What renders a frame, or what is between two, and the cages that an overlay shows then.
 Moment = Callable[[float], tuple[Scene, Sequence[Cage]]]
@@ -159,9 +161,18 @@ class Film:
                 self._shares.setdefault(name, []).append(share)
         return self.look.picture(frame, camera, cages, scale), frame, camera
 
-    def write(self, path: PathLike, fps: float | Fraction, *, loop: bool, numbers: Iterable[int] | None = None) -> None:
+    def write(
+        self,
+        path: PathLike,
+        fps: float | Fraction,
+        *,
+        loop: bool,
+        numbers: Iterable[int] | None = None,
+        progress: bool | Progress = False,
+    ) -> None:
         """Write a film, whole or not at all; loop: of a GIF; numbers: those of its frames, for a bar."""
-        write_film(path, self if numbers is None else map(self.picture, numbers), fps, loop=loop)
+        frames = self if numbers is None else map(self.picture, numbers)
+        write_film(path, frames, fps, loop=loop, progress=progress)
 
     def write_pictures(self, paths: Iterable[pathlib.Path]) -> None:
         """Write the frames to a file each."""
@@ -179,12 +190,12 @@ class Film:
         settings: dict[str, Any],  # as `make_folder` has them
         *,
         overwrite: bool = False,
-        told: Callable[[Sequence[int]], Any],  # with numbers of frames, a block that goes through them
+        reported: Callable[[Sequence[int]], Any],  # with numbers of frames, a block that goes through them
     ) -> int:
         """Write the frames that a folder does not have yet, and return how many it had."""
 
         def make(missing: list[int], begin: Callable[[], None]) -> None:
-            with told(missing) as frames, picture_cuts(folder) as cuts, BackgroundWriter() as beside:
+            with reported(missing) as frames, picture_cuts(folder) as cuts, BackgroundWriter() as beside:
                 for index in frames:
                     task = picture_task(frame_path(folder, index, settings["format"]), *self.taken(index), cuts)
                     if index == missing[0]:
@@ -249,9 +260,9 @@ def render_film(
             is the scene's own.
         supersampling: Rays along a pixel's side. None is the field's.
         overlay: Draw the edges of the cages.
-        format: Of a folder: "png"; "exr", with depth; or "npz", 16 bits a channel (`warpcage.view.film`).
+        format: Of a folder: "png"; "exr", with depth; or "npz", 16 bits a channel (`warpcage.studio.films.video`).
         overwrite: Replace the frames of another film that are in the folder.
-        progress: True shows a bar on stderr. A function is told (done, total, words) of frames, and ends the film by
+        progress: True shows a bar on stderr. A function is called with (done, total, message) and ends the film by
             returning False or by raising; frames of a folder stay.
 
     Returns:
@@ -267,9 +278,9 @@ def render_film(
         raise InputError(f"render_film needs a field, a Deformer or a Stage, got {type(scene).__name__}")
     target = checked_film_path(checked_path(path, "the path of a film"), new=False)
     ending = target.suffix.lower()
-    require_name(format, ("png", "exr", "npz"), "format")
+    checked_choice(format, "format", ("png", "exr", "npz"))
     look = Look(background, supersampling=supersampling, overlay=overlay)
-    if look.is_clear:
+    if look.is_transparent:
         require_clear_film(target)
     if format == "exr" and not ending:
         require_openexr()
@@ -280,7 +291,7 @@ def render_film(
         film = Film(len(shot.times), shot.track, shot.moment, look)
         numbers = range(film.count)
         if ending:
-            film.write(target, rate, loop=shot.loop != "once")
+            film.write(target, rate, loop=shot.loop != "once", progress=progress)
             return [target]
         settings = {
             "frames": film.count,
@@ -295,10 +306,10 @@ def render_film(
             "posed": _digest([shot.pose(number) for number in numbers]),
         }
 
-        def told(missing: Sequence[int]) -> Any:
-            return contextlib.nullcontext(_telling(missing, film.count))
+        def reported(missing: Sequence[int]) -> Any:
+            return contextlib.nullcontext(_reported(missing, film.count, progress))
 
-        film.write_folder(target, settings, overwrite=overwrite, told=told)
+        film.write_folder(target, settings, overwrite=overwrite, reported=reported)
         return [frame_path(target, number, format) for number in numbers]
     finally:
         if isinstance(scene, Stage):
@@ -447,7 +458,7 @@ def _poses(scene: Any, poses: Any) -> tuple[list[list[Cage | None]] | None, Pose
 
 
 def _shown_of(scene: Scene) -> tuple[Any, ...]:
-    """What a scene shows, but for the pose of what stands alone, which the cages of a moment tell."""
+    """What a scene shows, but for the pose of what stands alone, which the cages of a moment give."""
     if not isinstance(scene, Stage):
         return (scene,)  # held, and equal to itself alone: a number of what has gone may come again
     return tuple(
@@ -462,11 +473,11 @@ def _pose_bytes(cages: Iterable[Cage | None]) -> tuple[bytes, ...]:
     return tuple(b"" if cage is None else cage.vertices.tobytes() for cage in cages)
 
 
-def _telling(numbers: Sequence[int], total: int) -> Iterator[int]:
-    """Numbers of frames, said as they are done."""
+def _reported(numbers: Sequence[int], total: int, progress: bool | Progress) -> Iterator[int]:
+    """Numbers of frames, reported as they are done."""
     for done, number in enumerate(numbers, total - len(numbers) + 1):
         yield number
-        report_progress(done, total, "film")
+        report_progress(progress, done, total, "film")
 
 
 def _digest(scene_object: Any) -> str:

@@ -14,8 +14,8 @@ from ...core.files import PathLike, atomic_path
 from ...errors import InputError
 from ...view.camera import Camera
 from ...view.exr import read_exr
-from ...view.film import FILM_ENDINGS, read_film_frame
 from ...view.pictures import read_image
+from .video import FILM_ENDINGS, read_film_frame
 
 #: The note beside the frames that says which film they are of.
 SETTINGS_NAME = "animation.json"
@@ -51,7 +51,7 @@ def make_folder(
         def begin() -> None:
             for other in frame_files(folder) if foreign else [paths[index] for index in missing]:
                 other.unlink(missing_ok=True)
-            with atomic_path(folder / SETTINGS_NAME) as note:  # not before: without frames it binds nobody
+            with atomic_path(folder / SETTINGS_NAME) as note:  # not before: a folder without frames has no settings
                 note.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
 
         if missing:
@@ -95,7 +95,7 @@ def _read_note(note: pathlib.Path) -> dict:
 
 
 def _difference(name: str, there: object, here: object) -> str:
-    """A setting that differs, with both values where they are short words or numbers."""
+    """A setting that differs, with both values where they are short texts or numbers."""
     if all(isinstance(value, str | int | float | None) and len(str(value)) <= 12 for value in (there, here)):
         there, here = ("default" if value is None else value for value in (there, here))
         return f"{name}: {there} there, {here} now"
@@ -118,7 +118,7 @@ def _nothing_left_without_frames(folder: pathlib.Path) -> Iterator[None]:
 
 
 def _holds_picture(path: pathlib.Path, camera: Camera) -> bool:
-    """Whether a file is a whole picture from a camera. What was cut, on a full disk or by hand, is rendered again."""
+    """Whether a file is a whole picture from a camera. What was cut, on a full disk or elsewhere, is rendered again."""
     try:
         return _picture_shape(path) == (camera.height, camera.width)
     except (OSError, ValueError, KeyError):

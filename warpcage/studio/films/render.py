@@ -6,59 +6,49 @@ import dataclasses
 import functools
 import os
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from ...cage.cage import Cage
 from ...core.checks import Cuts
 from ...core.files import PathLike, atomic_path
-from ...core.names import TRANSPARENT
-from ...deform.deformer import Deformer
-from ...deform.fill import fill_unseen
-from ...deform.posed import PosedDeformer
+from ...deform.deformer import Deformer, PosedDeformer
+from ...deform.objects import SceneObject, render_object, require_voxels
 from ...deform.stage import Stage
 from ...errors import InputError
-from ...field.voxel_field import VoxelField
+from ...field.render import RenderOptions
 from ...mesh.mesh import ClosedMesh
-from ...render.surface_mesh import AnyObject
-from ...splats.splat_field import AnyField, SplatField
+from ...splats.splat_field import AnyField
 from ...view import frame_parts
 from ...view.camera import Camera
 from ...view.exr import write_picture
-from ...view.film import write_film_frame
 from ...view.frame import Frame, depth_along_view
-from ...view.opacity import rgba_picture
+from ...view.frame_parts import rgba_picture
+from .video import write_film_frame
 
 #: What renders frames.
-Scene: TypeAlias = AnyObject | Deformer | PosedDeformer | Stage
+Scene: TypeAlias = SceneObject | PosedDeformer | Stage
 
 
-@dataclasses.dataclass(frozen=True)
-class Look:
+@dataclasses.dataclass(frozen=True, eq=False)
+class Look(RenderOptions):
     """How frames are rendered, and what their pictures show."""
 
-    background: Any = None  # a colour, "transparent", or None: the field's own
-    fill: bool = False  # whether what an edit uncovers and no picture showed is filled, see `fill_unseen`
-    supersampling: int | None = None  # rays along a pixel's side; None is the field's
-    antialias: bool | None = None  # of splats, whether small ones are weakened; None: as their file says
     show: str = "rgb"  # what `frame_parts.picture` shows
     overlay: bool = False  # whether edges of cages are drawn
 
-    @property
-    def is_clear(self) -> bool:
-        """Whether pictures have opacity instead of a background."""
-        return isinstance(self.background, str) and self.background == TRANSPARENT
-
-    def render(self, scene: Scene, camera: Camera, **options: Any) -> Frame:
-        """The view of a camera; options: more of `render`."""
-        given = {name: getattr(self, name) for name in ("background", "supersampling", "antialias")}
-        frame = scene.render(camera, **{name: value for name, value in given.items() if value is not None}, **options)
-        if not self.fill or frame.reveal is None or isinstance(scene, Stage):
-            return frame
-        field = scene.deformer if isinstance(scene, PosedDeformer) else scene
-        field = field.field if isinstance(field, Deformer) else field
-        return fill_unseen(frame, require_voxels(field, "fill"), camera)
+    def render(self, scene: Scene, camera: Camera) -> Frame:
+        """The view of a camera; stages are not filled."""
+        if not isinstance(scene, Stage):
+            return render_object(scene, camera, self)
+        return scene.render(
+            camera,
+            background=self.background,
+            supersampling=self.supersampling,
+            antialias=self.antialias,
+            step_scale=self.step_scale,
+        )
 
     def picture(
         self, frame: Frame, camera: Camera, cages: Sequence[ClosedMesh] = (), scale: tuple[float, float] | None = None
@@ -66,7 +56,7 @@ class Look:
         """What is shown of a frame, (h, w, 3), (h, w) or, with straight opacity, (h, w, 4).
         cages: those of an overlay; scale: low and high disparity, None for those of the frame."""
         drawn = cages if self.overlay else ()
-        if self.show == "rgb" and self.is_clear:
+        if self.show == "rgb" and self.is_transparent:
             return rgba_picture(frame, camera, drawn)
         return frame_parts.picture(frame, self.show, camera, drawn, scale)
 
@@ -96,22 +86,14 @@ def drawn_cages(deformer: Deformer, posed: Sequence[Cage | None] | None = None) 
     return [edit.cage if cage is None else cage for edit, cage in zip(deformer.edits, posed, strict=True)]
 
 
-def require_voxels(field: AnyObject, what: str) -> VoxelField:
-    """A field of voxels. Raises ValueError for others; what: what is asked for, as the message begins."""
-    if not isinstance(field, VoxelField):
-        kind = "splats" if isinstance(field, SplatField) else "triangles"
-        raise InputError(f"{what} is for fields of voxels (.npz), this one is of {kind}")
-    return field
-
-
-def require_fillable(field: AnyField, what: str) -> None:
-    """Raises ValueError where there is nothing to fill; what: the option, as the message begins."""
-    if require_voxels(field, what).background_model is None:
-        raise InputError(f"{what}: the background of this field is one colour, there is nothing to fill")
+def require_fillable(field: AnyField, name: str) -> None:
+    """Raises ValueError where there is nothing to fill; name: of the option, as the message begins."""
+    if require_voxels(field, name).background_model is None:
+        raise InputError(f"{name}: the background of this field is one colour, there is nothing to fill")
 
 
 def finished(image: np.ndarray) -> np.ndarray:
-    """A picture that nobody changes any more: a film takes it without a copy."""
+    """A picture made read-only, which a film takes without a copy."""
     image.flags.writeable = False
     return image
 

@@ -1,4 +1,4 @@
-"""What words name: presets, files and keys of poses, what is up; and edits files."""
+"""What texts of poses name: presets, files and keys, and which axis is up; and edits files."""
 
 from __future__ import annotations
 
@@ -35,9 +35,10 @@ from ...cage.presets import Preset, is_preset
 from ...cage.random_poses import PoseProbe, RandomPoses
 from ...cage.up_axis import UpAxis, load_standing
 from ...core.checks import shown
-from ...core.files import DAMAGED, NpyFile, errors_of, file_stamp, read_json, require_file
+from ...core.files import DAMAGED, errors_of, file_stamp, read_json, require_file
 from ...core.memory import LRUCache
 from ...core.names import counted
+from ...core.npz import NpyFile
 from ...edits.spec import RANDOM, EditSpec, canonical, split_reference
 from ...errors import InputError
 from ...mesh.io import ENDINGS
@@ -55,7 +56,7 @@ def read_rest(
     up: "y" or "z"; None finds it by what the cage holds of `reference`, without which it is that of the format."""
     rest, standing = load_standing(Cage, path, up=up, reference=reference, object=name)
     rest.require_usable(f"cage {path!r}")
-    # A cage that may hold a part alone, as one of several, is told of only where another axis would hold far more.
+    # A cage that may hold a part alone, as one of several, is reported only where another axis would hold far more.
     if standing.turned or standing.doubtful or standing.likelier or not part:
         say_standing(path, standing, "--cage-up")
     return rest, {ending(path): standing.up}
@@ -78,17 +79,17 @@ def ending(text: str) -> str:
 
 
 def pose_file(text: str) -> tuple[str, str] | None:
-    """File and keyframe ("" for all) of a word of --posed that names a pose file, or None for other words."""
+    """File and keyframe ("" for all) of a value of --posed that names a pose file, else None."""
     return file_and_name(text, "json")
 
 
 def moving_file(text: str) -> tuple[str, str] | None:
-    """File and animation, shape or frame ("" for all) of a word that names a file that a cage may move in, or None."""
+    """File and animation, shape or frame ("" for all) of a text that names a file with motion, else None."""
     return file_and_name(text, "|".join(each[1:] for each in MOVING_ENDINGS))
 
 
 def file_and_name(text: str, endings: str) -> tuple[str, str] | None:
-    """A file of some endings ("json|glb") and what is named of it, "" for all; None for other words."""
+    """A file of some endings ("json|glb") and what is named of it, "" for all; None for any other text."""
     found = re.fullmatch(rf"(.+\.(?:{endings}))(?::(.*))?", text, re.IGNORECASE)
     return (found[1], found[2] or "") if found else None
 
@@ -96,7 +97,7 @@ def file_and_name(text: str, endings: str) -> tuple[str, str] | None:
 def read_film(
     rest: Cage, texts: list[str], up: str | None, expected: Mapping[str, str] | None, fps: Fraction | None
 ) -> PoseFile | None:
-    """The keys of words of --posed that say themselves when each pose is reached; None for other words.
+    """The keys of values of --posed that have times of their own; None for any others.
     up: "y" or "z", None finds it; expected: axis by ending of cage files where nothing speaks for another."""
     # A pose file with times, an animated glTF file, a folder or pattern of numbered cage files, or files so named.
     rate = DEFAULT_RATE if fps is None else float(fps)
@@ -209,7 +210,7 @@ def only_pose(rest: Cage, text: str, up: str | None, poses: Sequence[Cage]) -> C
 
 
 def _moving_poses(rest: Cage, text: str, up: str | None, expected: Mapping[str, str] | None) -> list[Cage]:
-    """The poses of a word that names a glTF file that moves, or numbered files; none for other words."""
+    """The poses of an animated glTF file or of numbered files that a text names; none for any other text."""
     if named := moving_file(text):
         file = file_poses(named[0], rest, name=named[1], up=up)
         if file is None and named[1]:
@@ -322,7 +323,7 @@ class References:
 
     def posed_cage(self, edit: EditSpec, rest_cage: RestCage, field: AnyField) -> Cage | None:
         """The posed cage of an edit, in the order of the cage at rest; None for an edit that removes.
-        field: says what is up in the words of a preset."""
+        field: gives the up axis of a preset."""
         if edit.remove:
             return None
         value, rest = edit.posed, rest_cage.cage
@@ -352,12 +353,12 @@ class References:
 
     def _drawn_pose(self, posed: dict[str, Any], rest_cage: RestCage) -> np.ndarray:
         """The vertices (v, 3) float64, world units, of a pose that is drawn: those of `RandomPoses`, to the bit."""
-        words = dict(posed[RANDOM])
-        number = words.pop("number")
+        options = dict(posed[RANDOM])
+        number = options.pop("number")
 
         def draw() -> np.ndarray:
             probe = self._probes.get(rest_cage.hash, lambda: PoseProbe(rest_cage.cage))
-            return RandomPoses(probe.rest, **words, probe=probe).vertices(number)
+            return RandomPoses(probe.rest, **options, probe=probe).vertices(number)
 
         return self._drawn.get((rest_cage.hash, canonical(posed)), draw)
 

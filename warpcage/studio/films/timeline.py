@@ -23,9 +23,11 @@ from ...select.selection import NodeSelection
 from ...select.selection_file import SELECTION_ENDINGS
 from ...splats.splat_field import AnyField, SplatField
 from ...view.camera import Camera, CameraKey
-from ...view.camera_path import MovingCamera, camera_at, path_cameras
-from ...view.motion import frame_places, frame_rate, time_at
+from ...view.camera_path import camera_at
+from ...view.motion import frame_rate, time_at
 from .edits import Deformation
+from .motion import frame_places, path_cameras
+from .moves import MovingCamera
 from .render import HeldPose, Scene, drawn_cages
 from .resolve import read_rest
 

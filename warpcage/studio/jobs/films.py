@@ -24,19 +24,19 @@ from ...core.reports import bar, say_above_bar
 from ...edits.edits import CageEdit, edit_spec
 from ...errors import InputError, StateError
 from ...view.camera import Camera, CameraKey, camera_json
-from ...view.film import CLEAR_ENDINGS, read_film_frame, write_film
 from ..films.folder import frame_files, frame_path, make_folder
 from ..films.render import Look
+from ..films.video import CLEAR_ENDINGS, read_film_frame, write_film
 from .job_file import write_jobs
 from .run import RunProgress, RunReport, run_jobs
 
 #: Folder in that of the frames in which workers write; a run that is over leaves none.
 WORKPLACE = ".run"
 
-#: The words of an edit in the order in which job files have them.
+#: The keys of an edit in the order of job files.
 EDIT_ORDER = ("cage", "keep", "remove", "fragments", "falloff", "held")
 
-#: Seconds between looks for a frame where nobody tells of one.
+#: Seconds between looks for a frame where none is reported.
 LOOK_SECONDS = 0.2
 
 
@@ -60,7 +60,7 @@ class FilmJob:
     """What all frames of a film share."""
 
     field: PathLike
-    words: dict[str, Any]  # of items, for all frames: how they are rendered, and "outputs"
+    spec: dict[str, Any]  # keys of items for all frames: how they are rendered, and "outputs"
     edits: Sequence[CageEdit] = ()
     extra: Any = None  # any JSON, kept in the header of the job file
 
@@ -73,9 +73,9 @@ class FilmJob:
                 _EditArrays(edit, path.with_name(f"{path.stem}{number}"), files)
                 for edit, number in zip(self.edits, _numbers(len(self.edits)), strict=True)
             ]
-            usual = {"kind": "frame", "field": _reference(self.field, path.parent), **self.words}
+            usual = {"kind": "frame", "field": _reference(self.field, path.parent), **self.spec}
             alone = len(cages) == 1
-            defaults = usual | (cages[0].words if alone else {})
+            defaults = usual | (cages[0].spec if alone else {})
 
             def moment(camera: Camera, poses: Sequence[np.ndarray | None]) -> dict[str, Any]:
                 posed = [cage.posed(pose).get("posed") for cage, pose in zip(cages, poses, strict=True)]
@@ -85,7 +85,7 @@ class FilmJob:
                 for frame in frames:
                     posed = [cage.posed(pose) for cage, pose in zip(cages, frame.poses, strict=True)]
                     moments = [moment(*each) for each in frame.moments]
-                    edits = {"edits": [cage.words | pose for cage, pose in zip(cages, posed, strict=True)]}
+                    edits = {"edits": [cage.spec | pose for cage, pose in zip(cages, posed, strict=True)]}
                     yield {
                         "id": frame.name,
                         **((posed[0] if alone else edits) if posed else {}),
@@ -106,8 +106,8 @@ def frame_spec(
     scale: tuple[float, float] | None = None,  # low and high disparity of pictures of depth and disparity
     scene_scale: float = 1.0,
 ) -> dict[str, Any]:
-    """The words of items for how the frames of a film look, but "outputs"."""
-    words: dict[str, Any] = {
+    """The keys of items for how the frames of a film look, without "outputs"."""
+    spec: dict[str, Any] = {
         "background": look.background,
         "supersampling": look.supersampling,
         "antialias": look.antialias,
@@ -115,9 +115,9 @@ def frame_spec(
         "scene_scale": None if scene_scale == 1.0 else scene_scale,
     }
     if deformer is not None:
-        words |= {**deformer, "fill": look.fill or None, "overlay": look.overlay or None}
-        words["resolution"] = words["resolution"] or "precise"
-    return {name: value for name, value in words.items() if value is not None}
+        spec |= {**deformer, "fill": look.fill or None, "overlay": look.overlay or None}
+        spec["resolution"] = spec["resolution"] or "precise"
+    return {name: value for name, value in spec.items() if value is not None}
 
 
 def _numbers(count: int) -> list[str]:
@@ -143,11 +143,11 @@ class _EditArrays:
             files.callback(self._rows.close)
         self._known: dict[bytes, int] = {}
         cage = {"vertices": rest.name, "faces": faces.name}
-        words = edit_spec(edit, cage, None if edit.remove else self._poses).rest
-        self.words = {name: words[name] for name in EDIT_ORDER if name in words}
+        spec = edit_spec(edit, cage, None if edit.remove else self._poses).rest
+        self.spec = {name: spec[name] for name in EDIT_ORDER if name in spec}
 
     def posed(self, vertices: np.ndarray | None) -> dict[str, str]:
-        """The words of a pose."""
+        """The keys of a pose."""
         if self._rows is None:
             return {}
         assert vertices is not None
@@ -214,9 +214,9 @@ class FilmWorkers:
     def cameras(self) -> list[Camera]:
         return [frame.camera for frame in self.frames]
 
-    def make_frames(self, folder: pathlib.Path, told: Callable[[], None] = lambda: None) -> int:
+    def make_frames(self, folder: pathlib.Path, report: Callable[[], None] = lambda: None) -> int:
         """Make the frames of a folder that are not there yet; returns how many were there.
-        told: called now and then, in this thread; what it raises ends the run."""
+        report: called now and then, in this thread; what it raises ends the run."""
         _collect(folder / WORKPLACE, folder)  # of a run that was killed
 
         def make(missing: list[int], begin: Callable[[], None]) -> None:
@@ -225,7 +225,7 @@ class FilmWorkers:
                 path = pathlib.Path(temporary) / "film.jsonl"
                 self.job.write(path, (self.frames[index] for index in missing))
                 try:
-                    _require_all(self._run(path, folder / WORKPLACE, len(missing), told))
+                    _require_all(self._run(path, folder / WORKPLACE, len(missing), report))
                 finally:
                     _collect(folder / WORKPLACE, folder)
 
@@ -239,7 +239,7 @@ class FilmWorkers:
         encoder = FilmEncoder(output, rate, loop, [self._places(folder, frame) for frame in self.frames])
         try:
             with encoder:
-                self.make_frames(folder, encoder.told)
+                self.make_frames(folder, encoder.report)
         except BaseException:
             if made := frame_files(folder):
                 print(
@@ -253,12 +253,12 @@ class FilmWorkers:
         place = frame_path(folder, frame.index, self.settings["format"])
         return [place, folder / WORKPLACE / place.name]
 
-    def _run(self, path: pathlib.Path, out: pathlib.Path, missing: int, told: Callable[[], None]) -> RunReport:
+    def _run(self, path: pathlib.Path, out: pathlib.Path, missing: int, report: Callable[[], None]) -> RunReport:
         count = len(self.frames)
         with bar(count, "animate", done=count - missing, shown=not self.quiet) as shown:
 
             def show(state: RunProgress) -> None:
-                told()
+                report()
                 if state.stage == "make":
                     shown.update(count - missing + state.kept + state.done + state.failed - shown.n)
 
@@ -266,7 +266,7 @@ class FilmWorkers:
 
 
 def frame_outputs(output: pathlib.Path, show: str, kind: str | None) -> tuple[dict[str, str], str]:
-    """The words "outputs" of frames that become a film or a folder, and their ending; kind: --format of a folder."""
+    """The key "outputs" of frames that become a film or a folder, and their ending; kind: --format of a folder."""
     if output.suffix.lower() in CLEAR_ENDINGS:
         if show != "rgb":
             raise InputError(f"--workers makes {output.suffix} films of colours alone: leave out --show, or --workers")
@@ -300,7 +300,7 @@ class FilmEncoder:
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._encode, name="warpcage-film")
 
-    def told(self) -> None:
+    def report(self) -> None:
         """There may be frames. Raises the error of the encoder, if it has one."""
         self._news.set()
         if self._error is not None:

@@ -8,8 +8,17 @@ import hashlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from ...core.checks import checked_bounds, shown
-from ...core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, renamed_keys
+from ...coordinate_kinds import names_where
+from ...core.checks import checked_bounds, checked_flag, checked_number, checked_positive, checked_whole, shown
+from ...core.names import (
+    COORDINATES,
+    DENSITIES,
+    FIELD_COORDINATES,
+    SPLAT_MAPS,
+    TRANSPARENT,
+    coordinate_kind,
+    renamed_keys,
+)
 from ...edits import spec
 from ...edits.spec import EDIT_KEYS, Checker, EditSpec, canonical, checked_keys, one_of, plain, safe_name, text
 from ...errors import InputError
@@ -33,7 +42,7 @@ class Item(abc.ABC):
     outputs: Annotated[dict[str, str], spec.anything]  # files by what they hold, relative to the folder of the run
     extra: Annotated[Any, spec.anything] = None  # any JSON that is kept with its record
 
-    #: The word of its kind, words of JSON besides its fields, all that it takes with their checks, and all kinds.
+    #: Its kind's name, JSON keys besides its fields, all that it takes with their checks, and all kinds.
     kind: ClassVar[str]
     short: ClassVar[dict[str, Checker]]
     known: ClassVar[dict[str, Checker]]
@@ -58,7 +67,7 @@ class Item(abc.ABC):
 
     @property
     def version(self) -> int:
-        """The first version of job files that has all of its words."""
+        """The first version of job files that has all of its keys."""
         return 1
 
     @property
@@ -79,12 +88,12 @@ class Item(abc.ABC):
     @staticmethod
     def from_json(entry: Mapping[str, Any], defaults: Mapping[str, Any] | Defaults | None = None) -> Item:
         """An item of the kind that it says from JSON; defaults: what holds where that says nothing.
-        Words of other kinds of items are left out of the defaults."""
+        Keys of other kinds of items are left out of the defaults."""
         if not isinstance(entry, Mapping):
             raise InputError(f"an item must be a JSON object, got {shown(entry)}")
         entry = renamed_keys(entry)
         usual = defaults if isinstance(defaults, Defaults) else Defaults(defaults or {})
-        kind = entry.get("kind") or usual.words.get("kind") or "frame"
+        kind = entry.get("kind") or usual.spec.get("kind") or "frame"
         if not isinstance(kind, str) or kind not in Item.kinds:
             raise InputError(f"'kind' must be one of {', '.join(Item.kinds)}, got {shown(kind)}")
         return Item.kinds[kind]._made(entry, usual.of(Item.kinds[kind]))
@@ -101,20 +110,20 @@ class Item(abc.ABC):
     @classmethod
     @abc.abstractmethod
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
-        """The arguments of the constructor of checked words."""
+        """The arguments of the constructor of checked keys."""
 
 
 class Defaults:
     """What holds where an item says nothing, checked once for all items of a kind."""
 
-    def __init__(self, words: Mapping[str, Any]):
-        self.words = renamed_keys(words)
+    def __init__(self, spec: Mapping[str, Any]):
+        self.spec = renamed_keys(spec)
         self._checked: dict[str, dict[str, Any]] = {}
 
     def of(self, maker: type[Item]) -> dict[str, Any]:
-        """The checked words that a kind of item takes. Raises ValueError for one that cannot be."""
+        """The checked keys that a kind of item takes. Raises ValueError for one that cannot be."""
         if maker.kind not in self._checked:
-            usual = {word: value for word, value in self.words.items() if word in maker.known}
+            usual = {word: value for word, value in self.spec.items() if word in maker.known}
             self._checked[maker.kind] = checked_keys(usual, maker.known, "'defaults'")
         return self._checked[maker.kind]
 
@@ -165,9 +174,9 @@ def _resolution(value: Any, word: str) -> int | str:
     if value == "precise":
         return value
     if type(value) is not int or value < 1:
+        kinds = " and ".join(names_where("is_precise"))
         raise InputError(
-            f'{word} must be a whole number of lattice cells, or "precise" (mean_value and green only), '
-            f"got {shown(value)}"
+            f'{word} must be a whole number of lattice cells, or "precise" ({kinds} only), got {shown(value)}'
         )
     return value
 
@@ -202,17 +211,17 @@ def _pose(value: Any, word: str) -> Any:
 
 _SIDE = spec.whole(1, 65_536)
 
-#: A camera as files of cameras have it, and one that looks from a place to another, of which two words may be left out.
+#: A camera as files of cameras have it, and one that looks from a place to another, of which two keys may be left out.
 _PINHOLE: dict[str, Checker] = {
-    **dict.fromkeys(("fx", "fy"), spec.positive),
-    **dict.fromkeys(("cx", "cy"), spec.number),
+    **dict.fromkeys(("fx", "fy"), checked_positive),
+    **dict.fromkeys(("cx", "cy"), checked_number),
     **dict.fromkeys(("width", "height"), _SIDE),
     "camera_to_world": _pose,
 }
 
 _LOOKING: dict[str, Checker] = {
     **dict.fromkeys(("eye", "target", "up"), _vector),
-    "fov_degrees": spec.positive,
+    "fov_degrees": checked_positive,
     **dict.fromkeys(("width", "height"), _SIDE),
 }
 
@@ -275,12 +284,12 @@ class FrameItem(Item):
     density: Annotated[str, one_of(*DENSITIES)] = "opacity"
     map: Annotated[str | None, one_of(*SPLAT_MAPS)] = None
     background: Annotated[Any, spec.background] = None  # a colour, "transparent", or None: the field's own
-    fill: Annotated[bool, spec.truth] = False  # whether what was uncovered is filled
-    overlay: Annotated[bool, spec.truth] = False  # whether the cages are drawn into the picture
+    fill: Annotated[bool, checked_flag] = False  # whether what was uncovered is filled
+    overlay: Annotated[bool, checked_flag] = False  # whether the cages are drawn into the picture
     supersampling: Annotated[int | None, spec.whole(1, 8)] = None  # rays along a pixel's side; None is the field's
-    antialias: Annotated[bool | None, spec.truth] = None  # whether small splats are weakened; None: as their file says
+    antialias: Annotated[bool | None, checked_flag] = None  # whether small splats are weakened; None: as in their file
     disparity_scale: Annotated[tuple[float, float] | None, _scale] = None  # low and high; None is the frame's range
-    scene_scale: Annotated[float, spec.positive] = 1.0  # as `VoxelField.load` has it
+    scene_scale: Annotated[float, checked_positive] = 1.0  # as `VoxelField.load` has it
     moments: Annotated[tuple[dict[str, Any], ...], _moments] = ()  # of a shutter: cameras, poses one an edit; see shots
 
     kind: ClassVar[str] = "frame"
@@ -301,7 +310,7 @@ class FrameItem(Item):
         """How it is rendered, and what its picture in colours shows."""
         from ..films.render import Look  # which needs Warp
 
-        return Look(self.background, self.fill, self.supersampling, self.antialias, overlay=self.overlay)
+        return Look(self.background, self.supersampling, self.antialias, fill=self.fill, overlay=self.overlay)
 
     @property
     def shots(self) -> list[FrameItem]:
@@ -350,7 +359,7 @@ class FrameItem(Item):
 
 
 def _require_possible(given: dict[str, Any]) -> None:
-    """Raise ValueError for words of a frame that do not go together."""
+    """Raise ValueError for keys of a frame that do not go together."""
     outputs, edits = given["outputs"], given.get("edits")
     if any(edit.held != "cut" and not edit.falloff for edit in edits or ()):
         raise InputError("'held' names the sides that an edit fades towards: give it a 'falloff' too")
@@ -366,8 +375,9 @@ def _require_possible(given: dict[str, Any]) -> None:
             raise InputError(f"moment {number} of 'moments' needs a pose for each edit, null for one that removes")
         if sharp := [part for part, path in outputs.items() if not path.lower().endswith(OF_MOMENTS.get(part, ()))]:
             raise InputError(f"'moments' blur pictures in colours: leave {outputs[sharp[0]]!r} of 'outputs' out")
-    if given.get("resolution") == "precise" and given.get("coordinates", FIELD_COORDINATES) == "harmonic":
-        raise InputError("harmonic coordinates have no closed form: give 'resolution' a number, or leave it out")
+    if given.get("resolution") == "precise":
+        kind = coordinate_kind(given.get("coordinates", FIELD_COORDINATES))
+        kind.require_precise("give 'resolution' a number, or leave it out")
     clear = given.get("background") == TRANSPARENT
     if clear and outputs.get("rgb", "").lower().endswith((".jpg", ".jpeg")):
         raise InputError("a JPEG has no opacity: write a .png or .exr, or name another 'background'")
@@ -377,7 +387,7 @@ def _require_possible(given: dict[str, Any]) -> None:
 
 def _options(value: Any, word: str) -> dict[str, Any]:
     from ...fitting.fit import REPRESENTATIONS  # these need Warp
-    from ...fitting.options import checked_options, checked_seed
+    from ...fitting.options import checked_options
     from ...fitting.splats.options import checked_splat_options
 
     if not isinstance(value, dict):
@@ -388,7 +398,7 @@ def _options(value: Any, word: str) -> dict[str, Any]:
     try:
         check = checked_options if kind == "voxels" else checked_splat_options
         check({name: each for name, each in value.items() if name not in ("seed", "bounds", "representation")})
-        checked_seed(value.get("seed", 0))
+        checked_whole(value.get("seed", 0), "the seed", 0)
         if value.get("bounds") is not None:
             checked_bounds(value["bounds"])
     except (ValueError, TypeError) as error:
@@ -423,7 +433,7 @@ class FitItem(Item):
     masks: Annotated[bool | str, _masks] = True  # what mask files are
     cameras: Annotated[str | None, text] = None  # camera file of the scene; None takes those of its files
     background: Annotated[Any, spec.color] = "white"  # colour behind transparent pixels
-    straighten: Annotated[bool, spec.truth] = False  # whether the scene is turned so that its up is +z
+    straighten: Annotated[bool, checked_flag] = False  # whether the scene is turned so that its up is +z
 
     kind: ClassVar[str] = "fit"
     short: ClassVar[dict[str, Checker]] = {"output": _output(".npz", *SPLAT_ENDINGS)}
@@ -461,9 +471,9 @@ class EvaluateItem(Item):
     masks: Annotated[bool | str, _masks] = True  # what mask files are
     cameras: Annotated[str | None, text] = None  # camera file of the scene; None takes those of its files
     background: Annotated[Any, spec.color] = None  # colour behind the field; None is the field's own
-    given_cameras: Annotated[bool, spec.truth] = False  # whether cameras stay where those of the fit were refined
-    tune_cameras: Annotated[bool, spec.truth] = False  # whether each view's camera is moved first, to match the field
-    scene_scale: Annotated[float, spec.positive] = 1.0  # as `VoxelField.load` has it
+    given_cameras: Annotated[bool, checked_flag] = False  # whether cameras stay where those of the fit were refined
+    tune_cameras: Annotated[bool, checked_flag] = False  # whether each view's camera is moved first, to match the field
+    scene_scale: Annotated[float, checked_positive] = 1.0  # as `VoxelField.load` has it
 
     kind: ClassVar[str] = "evaluate"
     short: ClassVar[dict[str, Checker]] = {"output": _output(".json")}

@@ -17,20 +17,12 @@ from typing import Any
 import numpy as np
 
 from ...cage.presets import is_preset
-from ...core.checks import listed, shown
-from ...core.files import (
-    JSON_ROOM,
-    NpyFile,
-    PathLike,
-    atomic_path,
-    file_stamp,
-    require_file,
-    require_version,
-    seen_note,
-)
+from ...core.checks import checked_flag, listed, shown
+from ...core.files import JSON_ROOM, PathLike, atomic_path, file_stamp, require_file, require_version, seen_note
 from ...core.memory import LRUCache, require_host_memory
 from ...core.names import older_keys, renamed_keys
-from ...edits.spec import canonical, checked_keys, one_of, split_reference, truth, whole
+from ...core.npz import NpyFile
+from ...edits.spec import canonical, checked_keys, one_of, split_reference, whole
 from ...errors import InputError
 from .items import (
     KINDS,
@@ -98,7 +90,7 @@ def parsed_line(data: bytes, where: str, *, first: bool = False) -> dict[str, An
 def checked_item(entry: Mapping[str, Any], defaults: Defaults, records: Mapping[str, Any]) -> Item:
     """An item of a job of the object of its line; records: "records" of the header."""
     if records:
-        require_frame(entry, defaults.words)
+        require_frame(entry, defaults.spec)
     item = Item.from_json(entry, defaults)
     if records:
         require_recordable(entry, item, records)
@@ -173,7 +165,7 @@ class JobFile:
             yield self.item(index)
 
     def check(self) -> None:
-        """Check all lines, and that no two items have one id or write one file, also where capitals are not told apart.
+        """Check all lines, and that no two items share an id or a file; capitals count as small letters.
         16 bytes are held for each item and each output."""
         names = UniqueNames()
         for index, item in enumerate(self.items()):
@@ -239,7 +231,7 @@ _HEADER_SHAPE = f'{{"format": "{FORMAT}", "version": 1}}'
 
 
 class UniqueNames:
-    """Ids and outputs of items, 64 bits of each, of which no two may be alike; capitals are not told apart."""
+    """Ids and outputs of items, 64 bits of each, of which no two may be alike; capitals count as small letters."""
 
     def __init__(self) -> None:
         self._keys, self._owners = array.array("Q"), array.array("q")
@@ -266,14 +258,14 @@ class UniqueNames:
 
 
 def _names(item: Item) -> list[tuple[str, str]]:
-    """What it is called and what it writes. File systems that do not tell capitals apart are thought of."""
+    """What it is called and what it writes. Capitals count as small letters, as on some file systems."""
     return [("the id", item.id.casefold()), *(("the output", path.casefold()) for path in item.outputs.values())]
 
 
 def _check_defaults(defaults: Any) -> None:
     """Raise ValueError for defaults that no kind of item takes."""
     if not isinstance(defaults, dict):
-        raise InputError(f"'defaults' must be an object of words of items, got {shown(defaults)}")
+        raise InputError(f"'defaults' must be an object of keys of items, got {shown(defaults)}")
     defaults = renamed_keys(defaults)
     kind = defaults.get("kind")
     if kind is not None:
@@ -306,8 +298,8 @@ def check_records(records: Any, defaults: Mapping[str, Any]) -> None:
         "kind": one_of("folder", "webdataset"),
         "items_per_shard": whole(1, 1_000_000),
         "image": one_of("png", "jpg"),
-        "depth": truth,
-        "alpha": truth,
+        "depth": checked_flag,
+        "alpha": checked_flag,
     }
     if "kind" not in checked_keys(records, known, "'records'"):
         raise InputError("'records' needs a 'kind': folder or webdataset")
@@ -348,7 +340,7 @@ def write_jobs(
 
 
 def _version_of(defaults: Mapping[str, Any]) -> int:
-    """The first version that has all words of checked defaults."""
+    """The first version that has all keys of checked defaults."""
     edits = [defaults, *(defaults.get("edits") or ())]
     if any(edit.get("fragments") for edit in edits):
         return 4

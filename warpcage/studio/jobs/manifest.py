@@ -219,7 +219,7 @@ def newest_seconds(manifest: Manifest, most: int = 1000) -> dict[str, float]:
     return {kind: float(np.median(seconds)) for kind, seconds in found.items()}
 
 
-#: Folders of a run: files stand in the first until they are whole, and what is left there belongs to nobody once no
+#: Folders of a run: files stand in the first until they are whole, and what is left there may be removed once no
 #: worker runs; the second holds the progress of fits, from which they go on.
 PARTS, CHECKPOINTS = ".warpcage/parts", ".warpcage/checkpoints"
 
@@ -287,7 +287,7 @@ def write_array(path: pathlib.Path, array: np.ndarray) -> None:
     numbers = np.ascontiguousarray(array)
     head = io.BytesIO()
     np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(numbers))
-    with path.open("wb") as file:  # np.save's own way tells of a full disk without its error number
+    with path.open("wb") as file:  # np.save reports a full disk without its error number
         file.write(head.getbuffer())
         file.write(numbers.data.cast("B") if numbers.size else b"")
 
@@ -385,7 +385,7 @@ class OutputFolder:
     @contextlib.contextmanager
     def nothing_left(self) -> Iterator[None]:
         """Where the block fails before anything was made, take the folders away that `prepare` made.
-        To be entered in `driven`: nobody else writes here then."""
+        To be entered in `driven`: no other process writes here then."""
         try:
             yield
         except BaseException:
@@ -417,7 +417,7 @@ class OutputFolder:
             path.unlink(missing_ok=True)
 
     def read_manifest(self) -> Manifest:
-        """The records of earlier runs; for a part, with the notes that nobody has merged."""
+        """The records of earlier runs; for a part, with the notes that are not merged."""
         if self.part is None:
             return Manifest(self.manifest)
         merged = self.own / f"{self.part.name}.jsonl"

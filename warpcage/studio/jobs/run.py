@@ -147,7 +147,7 @@ def run_jobs(
     checked_whole(retries, "retries", 0, 200)
     if item_timeout is not None:
         checked_positive(item_timeout, "item_timeout")
-    tell, say = progress or (lambda state: None), warn or (lambda line: None)
+    report, say = progress or (lambda state: None), warn or (lambda line: None)
     folder, halt = OutputFolder(out, part), None
     with contextlib.ExitStack() as held:
         job = held.enter_context(JobFile(path))
@@ -161,7 +161,7 @@ def run_jobs(
         # which load beside the plan
         early = held.enter_context(processes_beforehand(workers or 1, count, device, make is None))
         folder.merge()
-        plan = _planned(job, folder, tell)
+        plan = _planned(job, folder, report)
         shards = open_shards(plan, folder, job) if shard_size(job) else None
         begin = time.monotonic()
         if not len(plan.items) and not shards:
@@ -179,10 +179,10 @@ def run_jobs(
                 journal.failures = dispatcher.failures
                 for number in range(max(1, min(count, len(plan.items)))):
                     dispatcher.add_worker(str(number))
-                watch = _Watch(plan, dispatcher, count, begin, tell, say, pays=count == 1 or cluster is not None)
+                watch = _Watch(plan, dispatcher, count, begin, report, say, pays=count == 1 or cluster is not None)
                 limit = None if local else item_timeout
-                driver = Driver(dispatcher, engine, journal, item_timeout=limit, progress=watch.tell, warn=watch.warn)
-                watch.tell()
+                driver = Driver(dispatcher, engine, journal, item_timeout=limit, progress=watch.report, warn=watch.warn)
+                watch.report()
                 try:
                     halt = driver.run()
                 except BaseException:
@@ -197,7 +197,7 @@ def run_jobs(
 
 
 class _Watch:
-    """Tells how far a run is, and once where fewer workers would be quicker; pays: whether that is not looked at."""
+    """Reports how far a run is, and once where fewer workers would be quicker; pays: whether that is not looked at."""
 
     def __init__(
         self,
@@ -210,21 +210,16 @@ class _Watch:
         pays: bool,
     ):
         self._state = RunProgress("make", plan.total, plan.total, plan.kept)
-        self._dispatcher, self._count, self._begin, self._progress, self._warn = (
-            dispatcher,
-            count,
-            begin,
-            progress,
-            warn,
-        )
+        self._dispatcher, self._count, self._begin = dispatcher, count, begin
+        self._progress, self._warn = progress, warn
         self._quiet, self._numbers = pays, collections.Counter(plan.kinds.tolist())  # items by kind
-        self._told: list[float] = []  # seconds of the first two times; at the second a worker is ready
+        self._times: list[float] = []  # seconds of the first two times; at the second a worker is ready
 
-    def tell(self) -> None:
+    def report(self) -> None:
         dispatcher, left = self._dispatcher, self._dispatcher.left
         seconds = time.monotonic() - self._begin
-        if len(self._told) < 2:
-            self._told.append(seconds)
+        if len(self._times) < 2:
+            self._times.append(seconds)
         counts = {"done": dispatcher.done, "failed": len(dispatcher.failures), "workers": dispatcher.workers}
         self._progress(dataclasses.replace(self._state, **counts, seconds=seconds))
         usual = {} if self._quiet else dispatcher.chunks.usual_seconds()
@@ -238,8 +233,8 @@ class _Watch:
 
     def judge(self, end: float, foreseen: bool) -> None:
         """Say it where it is so; end: seconds of the run."""
-        if not self._quiet and len(self._told) > 1:
-            start, items = self._told[1], self._numbers.total()
+        if not self._quiet and len(self._times) > 1:
+            start, items = self._times[1], self._numbers.total()
             line = unpaid(self._count, items, start, end - start, foreseen=foreseen)
             if line is not None:
                 self.warn(line)
@@ -294,7 +289,7 @@ class Driver:
                 self._hear(answer)
                 self._progress()
             self._look()
-            self._hand_out()
+            self._submit_chunks()
         return self.halt
 
     def drain(self, seconds: float) -> None:
@@ -399,7 +394,7 @@ class Driver:
         for name in dict.fromkeys(name for (name, _), asked in self._asked.items() if asked < now - ANSWER):
             self._died(name, f"its worker was ended: it did not answer for {ANSWER:g} s")
 
-    def _hand_out(self) -> None:
+    def _submit_chunks(self) -> None:
         """Give work to workers that have none; where there is none, ask those that are late for some of theirs."""
         dispatcher = self._dispatcher
         for name in list(self._idle):
@@ -438,12 +433,12 @@ def _planned(job: JobFile, folder: OutputFolder, progress: Progress) -> Plan:
     """What is to be made; the folder's notes are merged already."""
     total = len(span_of(job, folder))
 
-    def tell(count: int) -> None:
+    def report(count: int) -> None:
         if not count % CHECKED_AT_ONCE or count == total:
             progress(RunProgress("check", total, count))
 
     with contextlib.closing(folder.read_manifest()) as manifest:
-        return make_plan(job, folder, manifest, tell)
+        return make_plan(job, folder, manifest, report)
 
 
 @contextlib.contextmanager

@@ -53,7 +53,7 @@ class ChunkQueue:
         self._names = groups[starts]
         if len(np.unique(self._names)) < len(self._names):
             raise InputError("items of a group must follow each other")
-        self._begin = starts.copy()  # the first item of each group that nobody has taken
+        self._begin = starts.copy()  # the first item of each group that no worker has taken
         self._end = np.append(starts[1:], len(groups))
         self._kinds = np.zeros(len(starts), np.int64) if kinds is None else np.asarray(kinds, np.int64)[starts]
         self._back: dict[int, list[int]] = {}  # what was taken and came back, by group
@@ -65,18 +65,18 @@ class ChunkQueue:
         self._seconds: dict[int, _Seconds] = {}  # an item of a group takes
         self._kind_seconds: dict[int, _Seconds] = {}
         self.aim, self._largest, self.whole = aim, largest, whole
-        self.left = len(self._items)  # items that nobody has
+        self.left = len(self._items)  # items that no worker has
 
     def name(self, group: int) -> int:
         """What callers call a group."""
         return int(self._names[group])
 
     def left_in(self, group: int) -> int:
-        """Items of a group that nobody has."""
+        """Items of a group that no worker has."""
         return int(self._end[group] - self._begin[group]) + len(self._back.get(group, ()))
 
     def seconds(self, group: int) -> float | None:
-        """Seconds that an item of a group takes; None where nobody knows."""
+        """Seconds that an item of a group takes; None where that is unknown."""
         found = self._seconds.get(group, self._kind_seconds.get(int(self._kinds[group])))
         return None if found is None else found.mean
 
@@ -94,7 +94,7 @@ class ChunkQueue:
 
     def choose(self, loaded: int | None, sharers: dict[int, int]) -> int | None:
         """The group of which a worker should take its next chunk; loaded: that it has; sharers: workers at each."""
-        # The loaded one while any is left, else the largest that nobody has begun, else that with most left a worker.
+        # The loaded one while any is left, else the largest that none has begun, else that with most left a worker.
         if loaded is not None and self.left_in(loaded):
             return loaded
         while self._unclaimed < len(self._by_size):
@@ -109,7 +109,7 @@ class ChunkQueue:
         """Cut a chunk of a group; returns the items, and the group of the last of them."""
         size = self._size(group, workers)
         taken = self._cut(group, size)
-        # too few: the next groups that nobody has begun go with it, where they are of its kind and fit whole
+        # too few: the next groups that no worker has begun go with it, where they are of its kind and fit whole
         while not self.whole and len(taken) < size and self._unclaimed < len(self._by_size):
             following = int(self._by_size[self._unclaimed])
             fits = self.left_in(following) <= size - len(taken) and self._kinds[following] == self._kinds[group]
@@ -184,7 +184,7 @@ class _Worker:
 
 
 class Dispatcher:
-    """Hands out chunks, and knows when all is settled; retries: how often an item may be tried again.
+    """Gives chunks to workers, and knows when all is settled; retries: how often an item may be tried again.
     shards: items that are open of each shard, where chunks are shards; 0 where it is only to be packed."""
 
     # Times are handed in: a simulation under a virtual clock runs the very same code (python benchmarks batch-scale).
@@ -212,7 +212,7 @@ class Dispatcher:
 
     @property
     def open(self) -> bool:
-        """Whether there is something that nobody has."""
+        """Whether there is an item that no worker has."""
         return bool(self.chunks.left or self._retries or self._packs)
 
     @property
@@ -358,7 +358,7 @@ class Dispatcher:
         self.chunks.put_back(chunk.group, items)
 
     def stop(self) -> None:
-        """Hand out no more."""
+        """Give out no more chunks."""
         self.stopped = True
 
     def _settle(self, name: str, chunks: Sequence[Chunk], report: ChunkReport) -> None:

@@ -19,7 +19,7 @@ from ...cage.cage import Cage
 from ...cage.random_poses import RandomNumbers, RandomPoses
 from ...core.checks import checked_whole
 from ...core.files import PathLike, atomic_path, path_from
-from ...core.names import FIELD_COORDINATES, require_coordinates
+from ...core.names import FIELD_COORDINATES, coordinate_kind
 from ...edits.spec import drawn_pose_spec
 from ...errors import InputError
 from ...view.camera import Camera, CameraFile, CameraKey
@@ -44,7 +44,7 @@ def rows_by_processes(poses: RandomPoses, count: int, processes: int) -> Iterato
 
 
 def _begin(poses: RandomPoses) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this ends it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started this ends it
     _drawn.append(poses)
 
 
@@ -71,7 +71,7 @@ class RandomSource:
 
     poses: RandomPoses[Cage]
     count: int
-    written: bool = False  # drawn at once, and their vertices written; else whoever makes an item draws its pose
+    written: bool = False  # drawn at once, and their vertices written; else the worker of an item draws its pose
     processes: int = 1  # that draw what is drawn at once, where that is much; see `rows_by_processes`
 
     def __len__(self) -> int:
@@ -236,9 +236,9 @@ def write_sweep(
     # Poses that workers draw are named by what they are drawn by, and not written. Corners: the lowest and highest of
     # all poses and of the cage at rest; of poses that workers draw the first FRAMED, spread over their sources. Each
     # pose is seen from `views` of the shared cameras, chosen at random by `seed`, or from all (None). `records`: see
-    # docs/sweeps.md; None is a folder. `defaults`: words that all items share, such as "background".
+    # docs/sweeps.md; None is a folder. `defaults`: keys that all items share, such as "background".
     path = pathlib.Path(path)
-    kinds = [require_coordinates(kind) for kind in coordinates]
+    kinds = [coordinate_kind(kind).name for kind in coordinates]
     if not kinds or len(set(kinds)) < len(kinds):
         raise InputError(f"a sweep needs kinds of coordinates, each once, got {list(coordinates)}")
     if not sum(map(len, sources)):

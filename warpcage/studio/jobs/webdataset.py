@@ -180,9 +180,9 @@ def beside(path: str, folder: str) -> str:
     return pathlib.PurePosixPath(path).relative_to(folder).as_posix()
 
 
-#: What transforms.json calls the words of a camera, and frames the parts of a record.
+#: What transforms.json calls the numbers of a camera, and its frames the parts of a record.
 _INTRINSICS = {"w": "width", "h": "height", "fl_x": "fx", "fl_y": "fy", "cx": "cx", "cy": "cy"}
-_WORDS = {"depth": "depth_path", "alpha": "alpha_path", "pose": "pose_path", "record": "record_path"}
+_PATHS = {"depth": "depth_path", "alpha": "alpha_path", "pose": "pose_path", "record": "record_path"}
 
 
 def finish_folder(out: PathLike, job: JobFile, manifest: Manifest) -> list[pathlib.Path]:
@@ -217,7 +217,7 @@ def _frames(
             "file_path": f"./{beside(item.outputs['rgb'], folder)}",
             "transform_matrix": record["transform_matrix"],  # camera to world, +y up, -z forward
         }
-        frame |= {_WORDS[part]: f"./{beside(item.outputs[part], folder)}" for part in _WORDS if part in item.outputs}
+        frame |= {_PATHS[part]: f"./{beside(item.outputs[part], folder)}" for part in _PATHS if part in item.outputs}
         posed = [edit["posed"] for edit in record.get("edits", ()) if "posed" in edit]
         frame |= {"id": item.id, "posed": posed}
         camera = record["camera"]

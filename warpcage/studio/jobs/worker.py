@@ -36,12 +36,12 @@ from ...splats.io import splat_path
 from ...splats.splat_field import AnyField, read_field
 from ...view.camera import Camera, CameraKey, camera_json
 from ...view.exr import mean_picture, write_picture
-from ...view.film import deep_pixels, write_film_frame
 from ...view.frame import RGB_BYTES, Frame, depth_along_view
 from ...view.frame_parts import picture
 from ...view.pictures import LIGHT_KEPT, PictureCuts, to_uint8
 from ..films.render import HeldPose, drawn_cages, require_fillable
 from ..films.resolve import References, RestCage
+from ..films.video import deep_pixels, write_film_frame
 from .items import EvaluateItem, FitItem, FrameItem, Item, digest
 from .job_file import Fingerprints
 from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, write_array, write_outputs
@@ -129,9 +129,9 @@ class WorkerCuts(PictureCuts):
         self.floats = not device.is_cuda  # from a GPU come bytes alone where they do: it has cut them
         self.said = False
 
-    def tell(self, path: str) -> None:
-        """Say what was cut up to now, with the picture that showed it first."""
-        self.said = self.said or self.warn(path, f"{LIGHT_KEPT}; others are not told of")
+    def report(self, path: str) -> None:
+        """Report what was cut up to now, with the picture that showed it first."""
+        self.said = self.said or self.warn(path, f"{LIGHT_KEPT}; others are not reported")
 
 
 class FrameMaker:
@@ -220,7 +220,7 @@ def _bound_bytes(bound: Bound) -> int:
 
 def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
     """Names of the arrays of a frame that its outputs are made of: to copy all takes longer than a frame on a GPU."""
-    needed = {"alpha"} if item.look.is_clear else set()
+    needed = {"alpha"} if item.look.is_transparent else set()
     for part, path in item.outputs.items():
         if part not in OF_RECORDS:
             needed.update([RGB_BYTES] if is_bytes(item, part, path) else ARRAYS_OF_PARTS.get(part, frame.arrays))
@@ -229,7 +229,7 @@ def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
 
 def is_bytes(item: FrameItem, part: str, path: str) -> bool:
     """Whether an output is made of the colours of a frame as bytes, with nothing done to them."""
-    plain = part == "rgb" and not item.look.is_clear and not item.overlay and not item.moments
+    plain = part == "rgb" and not item.look.is_transparent and not item.overlay and not item.moments
     return plain and pathlib.PurePosixPath(path).suffix.lower() in BYTE_ENDINGS
 
 
@@ -249,10 +249,10 @@ def frame_record(item: FrameItem, camera: Camera, posed: Sequence[Cage | None]) 
     """What is written beside a picture, JSON; posed: the cage of each edit, None for one that removes."""
     edits = []
     for edit, cage in zip(item.edits, posed, strict=True):
-        words = edit.to_json()
-        if isinstance(words.get("posed"), list):
-            del words["posed"]  # numbers, which the pose's own file has
-        edits.append(words | {"pose_vertices": 0 if cage is None else len(cage.vertices)})  # rows in the pose's array
+        entry = edit.to_json()
+        if isinstance(entry.get("posed"), list):
+            del entry["posed"]  # numbers, which the pose's own file has
+        edits.append(entry | {"pose_vertices": 0 if cage is None else len(cage.vertices)})  # rows in the pose's array
     record: dict[str, Any] = {
         "id": item.id,
         "field": item.field,
@@ -303,7 +303,7 @@ def _writer(part: str, path: str, item: FrameItem, shot: Shot, mean: np.ndarray 
             write_film_frame(temporary, deep_pixels(image(), cuts))
         else:
             write_picture(temporary, to_uint8(image(), cuts))
-        cuts.tell(path)
+        cuts.report(path)
 
     return write
 
@@ -343,8 +343,8 @@ class FitMaker:
         return MadeItem(writers)
 
     def _read(self, item: FitItem) -> Scene:
-        words = item.split, item.downscale, item.format, item.background, item.masks, item.straighten
-        key = item.scene, item.cameras, repr(words), self.fingerprints.of_inputs(item)
+        options = item.split, item.downscale, item.format, item.background, item.masks, item.straighten
+        key = item.scene, item.cameras, repr(options), self.fingerprints.of_inputs(item)
 
         def load() -> Scene:
             self.read_count += 1

@@ -10,23 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ....core.checks import warn_caller
+from ....core.checks import checked_number, warn_caller
 from ....errors import InputError, MissingFileError
 from ...box import Bounds
 from ...lenses import Intrinsics, intrinsics_at
-from ...parsing import (
-    evenly,
-    floats,
-    held_out,
-    intrinsics_of,
-    matrix_file,
-    number,
-    picture_size,
-    pictures_in,
-    read_json,
-    read_text,
-)
-from ...pictures import files_of, make_scene
+from ...parsing import evenly, floats, intrinsics_of, matrix_file, picture_size, pictures_in, read_json, read_text
+from ...pictures import held_out_scene
 from ...scene import Scene
 from ...sizes import Size, View
 
@@ -74,8 +63,7 @@ def read_scannet(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
 
     taken = [found[index] for index in evenly(len(found))]
     views = [View(file, pose, where, intrinsics) for file, pose, where in taken]
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, chosen, **options, beside=files_of(views))
+    return held_out_scene(folder, views, split, **options)
 
 
 def _numbered(folder: pathlib.Path) -> list[pathlib.Path]:
@@ -129,8 +117,7 @@ def read_replica(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     size, intrinsics = _cam_params(folder) if images == "results" else (None, _right_angle)
     taken = [pictures[index] for index in evenly(len(pictures))]
     views = [View(each, poses[_number(each)], f"{path}: {each.name}", intrinsics, size) for each in taken]
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, chosen, **options, beside=files_of(views))
+    return held_out_scene(folder, views, split, **options)
 
 
 def _right_angle(size: Size) -> Intrinsics:
@@ -147,5 +134,6 @@ def _cam_params(folder: pathlib.Path) -> tuple[Size, Intrinsics]:
     given = read_json(path).get("camera")
     if not isinstance(given, dict):
         raise InputError(f"{path} must hold a camera with w, h, fx, fy, cx, cy")
-    width, height, fx, fy, cx, cy = (number(given.get(name), f"{path}: {name}") for name in "w h fx fy cx cy".split())
+    names = ("w", "h", "fx", "fy", "cx", "cy")
+    width, height, fx, fy, cx, cy = (checked_number(given.get(name), f"{path}: {name}") for name in names)
     return picture_size(width, height, str(path)), (fx, fy, cx + 0.5, cy + 0.5)

@@ -1,5 +1,5 @@
 """Output folders of 3D Gaussian Splatting (Kerbl et al. 2023): its splats, its cameras, and where its pictures are."""
-# point_cloud/iteration_30000/point_cloud.ply, cameras.json, and cfg_args, the words of its command line as Python shows
+# point_cloud/iteration_30000/point_cloud.ply, cameras.json, and cfg_args, its options as Python shows
 # them. They are in the world of the pictures' own scene, of which the split is taken too.
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ....errors import InputError, MissingFileError
 from ....view.camera import Camera, CameraFile
 from ...box import Bounds
 from ...parsing import PICTURE_ENDINGS, read_text
-from ...scene import Scene
+from ...scene import Scene, turn_between
 
 MARK = "cameras.json beside point_cloud/iteration_30000/point_cloud.ply (output of 3D Gaussian Splatting)"
 NAME, CAMERAS, OPTIONS, CLOUD = "3dgs", "cameras.json", "cfg_args", "point_cloud.ply"
@@ -31,7 +31,7 @@ SAME_TURN, SAME_PLACE = 0.1, 1e-3
 
 
 def iterations(folder: pathlib.Path) -> dict[int, pathlib.Path]:
-    """The files of splats of an output folder, or of any other none, by their iterations, the newest last."""
+    """The files of splats of an output folder by their iterations, ascending; {} for other folders."""
     found = {}
     for home in folder.glob("point_cloud/iteration_*"):
         number = re.fullmatch(r"iteration_(\d{1,12})", home.name)
@@ -41,7 +41,7 @@ def iterations(folder: pathlib.Path) -> dict[int, pathlib.Path]:
 
 
 def output_of(path: pathlib.Path) -> pathlib.Path | None:
-    """The output folder that a file of splats is the result in; None for other files."""
+    """The output folder of 3D Gaussian Splatting that a file of splats lies in; None for other files."""
     around = path.absolute().parents[2:3]
     fits = path.name == CLOUD and re.fullmatch(r"iteration_\d{1,12}", path.parent.name)
     return around[0] if fits and around and (around[0] / OPTIONS).is_file() else None
@@ -53,7 +53,7 @@ def is_output(folder: pathlib.Path) -> bool:
 
 
 def trained_options(folder: pathlib.Path) -> dict[str, Any]:
-    """The words of cfg_args that are values by themselves; none where it is not there. Nothing of it is run."""
+    """The options in cfg_args that are literals, {} without the file; nothing of it is run."""
     path = folder / OPTIONS
     if not path.is_file():
         return {}
@@ -66,12 +66,12 @@ def trained_options(folder: pathlib.Path) -> dict[str, Any]:
         parsed = None
     if not (isinstance(parsed, ast.Call) and isinstance(parsed.func, ast.Name) and parsed.func.id == "Namespace"):
         raise InputError(f"{path} must hold Namespace(...), as 3D Gaussian Splatting writes it")
-    given = {word.arg: word.value for word in parsed.keywords}
+    given = {option.arg: option.value for option in parsed.keywords}
     return {name: value.value for name, value in given.items() if name and isinstance(value, ast.Constant)}
 
 
 def trained_background(folder: pathlib.Path) -> str | None:
-    """What was behind the splats as they were fitted, "white" or "black"; None where nothing says it."""
+    """The background that the splats were fitted with, "white" or "black"; None where it is not recorded."""
     white = trained_options(folder).get("white_background")
     return None if white is None else "white" if white else "black"
 
@@ -103,6 +103,8 @@ def read(folder: pathlib.Path, *, formats: Iterable[Any], split: str, downscale:
         raise InputError(f"{folder}: {str(source)!r}, where its pictures come from, is not a scene of a known format")
     smaller = re.fullmatch(r"images_([1-9]\d?)", str(given.get("images")))
     factor = int(smaller[1]) if smaller else 1
+    if "progress" not in found.options:
+        options.pop("progress", None)
     scene = found.read(source, split=split, downscale=downscale * factor, **options)
     if split not in ("train", "all") and given.get("eval") is False:
         warn_caller(f"{folder}: eval=False in {OPTIONS}: the splats were fitted to the pictures of {split!r} too")
@@ -138,8 +140,6 @@ def _stem(name: str) -> str:
 
 
 def _apart(one: Camera, other: Camera, extent: float) -> float:
-    """How far two cameras miss each other, 1 what is borne."""
-    cosine = 0.5 * (np.trace(one.rotation.T @ other.rotation) - 1.0)
-    turn = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    """How far two cameras are apart; up to 1 they count as the same."""
     place = float(np.linalg.norm(one.center - other.center)) / extent
-    return max(turn / SAME_TURN, place / SAME_PLACE)
+    return max(turn_between(one, other) / SAME_TURN, place / SAME_PLACE)

@@ -9,26 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from ....core.checks import shown, warn_caller
-from ....core.files import NpyFile
+from ....core.checks import checked_number, shown, warn_caller
+from ....core.npz import NpyFile
 from ....errors import InputError, MissingFileError
 from ...box import Bounds
 from ...lenses import Intrinsics, intrinsics_at
 from ...parsing import (
     floats,
-    held_out,
     inside,
     intrinsics_of,
     matrix,
     matrix_file,
     missing_split,
-    number,
     picture_size,
     pictures_in,
     read_json,
     read_text,
 )
-from ...pictures import files_of, make_scene, views_there
+from ...pictures import held_out_scene, make_scene, views_there
 from ...scene import Scene
 from ...sizes import Size, View, chosen_copy
 
@@ -46,7 +44,7 @@ def read_nerfies(folder: pathlib.Path, *, split: str, downscale: int, **options:
     """Read a split of dataset.json, `train`, `val` or `all`; rgb/4x is read for a downscale of 4. Options as usual."""
     path, allowed = folder / "dataset.json", Bounds(folder)
     listing = read_json(path)
-    lists = {name: listing.get(word) for name, word in (("train", "train_ids"), ("val", "val_ids"), ("all", "ids"))}
+    lists = {name: listing.get(key) for name, key in (("train", "train_ids"), ("val", "val_ids"), ("all", "ids"))}
     lists = {name: ids for name, ids in lists.items() if ids}
     if split not in lists:
         raise missing_split(split, folder, lists)
@@ -61,7 +59,7 @@ def read_nerfies(folder: pathlib.Path, *, split: str, downscale: int, **options:
     images = sizes[factor]
     views = [_nerfies_view(folder, images, allowed, item, f"{path}: ids of {split!r}") for item in lists[split]]
     views = views_there(views, path)
-    _tell_motion(folder, allowed)
+    _warn_of_motion(folder, allowed)
     points = None
     if (folder / "points.npy").is_file():
         points = NpyFile(allowed.require(folder / "points.npy", str(folder))).read().astype(np.float64)
@@ -77,15 +75,15 @@ def _nerfies_view(folder: pathlib.Path, images: pathlib.Path, allowed: Bounds, i
         rows = given.get(name)
         if not isinstance(rows, list) or len(rows) < count:
             raise InputError(f"{path}: {name} must be {count} numbers, got {shown(rows)}")
-        return [number(each, f"{path}: {name}") for each in rows[:count]]
+        return [checked_number(each, f"{path}: {name}") for each in rows[:count]]
 
-    if number(given.get("skew", 0.0), f"{path}: skew") != 0.0:
+    if checked_number(given.get("skew", 0.0), f"{path}: skew") != 0.0:
         raise InputError(f"{path}: a camera with skew {given['skew']:g} is not read")
     pose = np.eye(4)
     pose[:3, :3] = matrix(given.get("orientation"), (3, 3), f"{path}: orientation").T
     pose[:3, 3] = values("position", 3)
-    focal = number(given.get("focal_length"), f"{path}: focal_length")
-    down = focal * number(given.get("pixel_aspect_ratio", 1.0), f"{path}: pixel_aspect_ratio")
+    focal = checked_number(given.get("focal_length"), f"{path}: focal_length")
+    down = focal * checked_number(given.get("pixel_aspect_ratio", 1.0), f"{path}: pixel_aspect_ratio")
     (cx, cy), (width, height) = values("principal_point", 2), values("image_size", 2)
     size = picture_size(width, height, f"{path}: image_size")
     k1, k2, k3 = values("radial_distortion", 3) if "radial_distortion" in given else (0.0, 0.0, 0.0)
@@ -98,8 +96,8 @@ def _nerfies_view(folder: pathlib.Path, images: pathlib.Path, allowed: Bounds, i
     return View(images / f"{item}.png", pose, str(path), intrinsics, distortion=(k1, k2, p1, p2, k3))
 
 
-def _tell_motion(folder: pathlib.Path, allowed: Bounds) -> None:
-    """Say that what is in the pictures moves, by the times of metadata.json."""
+def _warn_of_motion(folder: pathlib.Path, allowed: Bounds) -> None:
+    """Warn of a scene that moves, by the times in metadata.json."""
     path = folder / "metadata.json"
     if not path.is_file():
         return
@@ -138,19 +136,18 @@ def read_blendedmvs(folder: pathlib.Path, *, split: str, **options: Any) -> Scen
         for name, file in files.items()
     ]
     views = views_there(views, folder / "cams")
-    chosen = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, chosen, **options, beside=files_of(views))
+    return held_out_scene(folder, views, split, **options)
 
 
 def _mvs_view(picture: pathlib.Path, path: pathlib.Path) -> View:
     """A picture with its camera: "extrinsic" and a 4x4 matrix from the world, "intrinsic" and a 3x3 one, depths."""
-    words = read_text(path, "camera file").split()
-    if words[:1] != ["extrinsic"] or words[17:18] != ["intrinsic"] or len(words) < 27:
+    tokens = read_text(path, "camera file").split()
+    if tokens[:1] != ["extrinsic"] or tokens[17:18] != ["intrinsic"] or len(tokens) < 27:
         raise InputError(f"{path} must hold 'extrinsic' and 16 numbers, then 'intrinsic' and 9 numbers")
-    to_camera = np.reshape(floats(" ".join(words[1:17]), str(path)), (4, 4))
+    to_camera = np.reshape(floats(" ".join(tokens[1:17]), str(path)), (4, 4))
     if not np.linalg.cond(to_camera) < 1e12:
         raise InputError(f"{path}: its extrinsic matrix is singular")
-    k = np.reshape(floats(" ".join(words[18:27]), str(path)), (3, 3))
+    k = np.reshape(floats(" ".join(tokens[18:27]), str(path)), (3, 3))
     given = intrinsics_of(k, str(path))
 
     def intrinsics(actual: Size) -> Intrinsics:

@@ -1,1 +1,1 @@
-"""The words of the commands, one module each: name, help, example, arguments. Nothing here needs NumPy or Warp."""
+"""The arguments of the commands, one module each: name, help, example, arguments. Nothing here needs NumPy or Warp."""

@@ -217,7 +217,7 @@ def port_number(text: str) -> int:
 command(
     "edit",
     "cages",
-    "pose cages by hand in the browser and see the scene follow",
+    "pose cages interactively in the browser and see the scene follow",
     """\
   warpcage edit --demo
   warpcage edit lego.npz --cage cage.obj

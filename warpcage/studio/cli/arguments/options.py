@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from ....coordinate_kinds import names_where
 from ....core.names import BACKGROUNDS, COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT
 from ....errors import InputError, MissingFileError, StateError
 
@@ -58,13 +59,6 @@ def whole_from(least: int) -> Callable[[str], int]:
 
 
 positive_int, whole_number = whole_from(1), whole_from(0)
-
-
-def positive_float(text: str) -> float:
-    value = finite_float(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"must be positive, got {text!r}")
-    return value
 
 
 def positive_fraction(text: str) -> fractions.Fraction:
@@ -116,25 +110,22 @@ def finite_float(text: str) -> float:
     return value
 
 
-def length(text: str, unit: str = "") -> float:
-    """A finite number from 0 on, world units."""
-    value = finite_float(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"must be 0 or more{unit}, got {text!r}")
-    return value
+def float_where(fits: Callable[[float], bool], wanted: str) -> Callable[[str], float]:
+    """Takes finite numbers in a range."""
+
+    def value_of(text: str) -> float:
+        value = finite_float(text)
+        if not fits(value):
+            raise argparse.ArgumentTypeError(f"must {wanted}, got {text!r}")
+        return value
+
+    return value_of
 
 
-def seconds(text: str) -> float:
-    """A finite number from 0 on."""
-    return length(text, " seconds")
-
-
-def field_of_view(text: str) -> float:
-    """Degrees between 0 and 180, both left out."""
-    value = finite_float(text)
-    if not 0 < value < 180:
-        raise argparse.ArgumentTypeError(f"must lie between 0 and 180 degrees, got {text!r}")
-    return value
+positive_float = float_where(lambda value: value > 0, "be positive")
+length = float_where(lambda value: value >= 0, "be 0 or more")  # world units
+seconds = float_where(lambda value: value >= 0, "be 0 or more seconds")
+field_of_view = float_where(lambda value: 0 < value < 180, "lie between 0 and 180 degrees")
 
 
 def lattice_resolution(text: str) -> int | str | None:
@@ -200,20 +191,20 @@ class PictureSize:
 
 
 class _PictureSizes(argparse.Action):
-    """Takes the words of --size."""
+    """Reads the values of --size."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
-        words = [part for word in values for part in re.sub(r"^(\d+)[x×](\d+)$", r"\1 \2", word).split()]
-        widen = words[-1] == "widen"
-        words = words[:-1] if widen else words
+        parts = [part for word in values for part in re.sub(r"^(\d+)[x×](\d+)$", r"\1 \2", word).split()]
+        widen = parts[-1] == "widen"
+        parts = parts[:-1] if widen else parts
         shape = None
-        if words and ":" in words[-1]:
+        if parts and ":" in parts[-1]:
             try:
-                shape = positive_fraction(words.pop().replace(":", "/"))
+                shape = positive_fraction(parts.pop().replace(":", "/"))
             except argparse.ArgumentTypeError:
                 parser.error(f"argument {option_string}: a shape is two numbers such as 16:9, got {values[-1]!r}")
         try:
-            numbers = [positive_int(word) for word in words]
+            numbers = [positive_int(word) for word in parts]
         except argparse.ArgumentTypeError as error:
             parser.error(f"argument {option_string}: {error}")
         if len(numbers) > (2 if shape is None else 1) or not (numbers or shape):
@@ -233,7 +224,7 @@ class OldName(argparse.Action):
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
         old, new = self.option_strings[0], self.dest.replace("_", "-")
-        warnings.warn(f"{old} is called --{new} now: the next version knows that name alone", stacklevel=2)
+        warnings.warn(f"{old} is called --{new} now: the old name goes with the next version", stacklevel=2)
         setattr(namespace, self.dest, values)
 
 
@@ -386,7 +377,7 @@ options:
 """
 
 
-#: What several words of --posed make of a film.
+#: What several values of --posed make of a film.
 FOLLOWING = """. Several, or all keyframes of a pose file (poses.json), follow one another. An animated glTF file
     (walk.glb), numbered files (walk_####.obj) or their folder give one pose a frame"""
 
@@ -397,7 +388,7 @@ def deformation(
     """The cages of a deformation and how it is computed; resolution: the usual lattice; others as of `cages`."""
     return f"""{cages(posed, several)}\
 --resolution N  lattice cells along the longest side of the cage, or "precise" to evaluate the coordinates at every
-    sample (mean_value and green only) (default: {resolution})
+    sample ({" and ".join(names_where("is_precise"))} only) (default: {resolution})
 --density  what parts keep when they are scaled. opacity: their opacity; paper: their density, as in the paper
     (Deforming Radiance Fields with Cages) (default: %(default)s)
 --map
@@ -449,9 +440,9 @@ def add_rows(parser: argparse.ArgumentParser, *texts: str, **values: Any) -> Non
             else:
                 group = parser if title == "options" else parser.add_argument_group(title)
             continue
-        words, help = (row if "  " in row else _SHARED_ROWS[row]).split("  ", 1)
+        flag, help = (row if "  " in row else _SHARED_ROWS[row]).split("  ", 1)
         help = argparse.SUPPRESS if help == argparse.SUPPRESS else help  # which argparse knows by its identity
-        name, *metavars = words.split()
+        name, *metavars = flag.split()
         key = "output" if name == "-o" else name.lstrip("-").replace("-", "_")
         names = ("-o", "--output") if name == "-o" else (name,)
         group.add_argument(*names, help=help, **_settings(left.pop(key, SHARED_VALUES.get(key, {})), metavars, name))
@@ -469,7 +460,7 @@ _SHARED_ROWS = {row.split()[0]: row for row in _rows(SHARED)}
 
 
 def _settings(value: Any, metavars: list[str], name: str) -> dict[str, Any]:
-    """Words of `add_argument`; value: a type, a tuple of choices, a dictionary of such words, or a default."""
+    """Keyword arguments of `add_argument`; value: a type, a tuple of choices, a dictionary of such, or a default."""
     first, several = (metavars[0].removesuffix("..."), metavars[0].endswith("...")) if metavars else ("", False)
     known: dict[str, Any] = {"type": TYPES[first]} if first in TYPES else {}
     if metavars:

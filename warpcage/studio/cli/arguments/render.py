@@ -72,7 +72,7 @@ OF_SESSIONS = ("frames", "fps", "motion", "interpolation", "show", "coordinates"
 
 
 class Default:
-    """The default of an option that a session decides, as nobody gave it; value: what it is without a session."""
+    """Marks an option that was not given, which a session then decides; value: its default without a session."""
 
     def __init__(self, value: Any):
         self.value = value

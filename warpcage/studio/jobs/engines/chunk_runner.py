@@ -20,9 +20,8 @@ import warp as wp
 
 from .... import __version__
 from ....core.devices import resolve_device
-from ....core.locks import device_turn
 from ....core.names import error_line
-from ....core.threads import limit_threads
+from ....core.threads import device_turn, limit_threads
 from ....errors import InputError, StateError
 from ..items import Item
 from ..job_file import Fingerprints, ItemReader, JobFile
@@ -47,8 +46,8 @@ BAD_INPUT = (
 #: Chunks of a worker: one of which it makes items, the others while their last files are being written.
 MAX_CHUNKS = 2
 
-#: Calls that a worker answers at once: one a chunk, one that tells when all items are begun, and one that shortens a
-#: chunk or tells of items.
+#: Calls that a worker answers at once: one a chunk, one that answers when all items are begun, and one that shortens a
+#: chunk or lists items.
 MAX_CALLS = MAX_CHUNKS + 2
 
 
@@ -100,7 +99,7 @@ def leaves_no_room(error: BaseException) -> bool:
     """Whether an error says that nothing can be written any more: a full disk, a quota, or one that is read-only."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno in NO_ROOM
-    return any(os.strerror(number) in str(error) for number in NO_ROOM)  # libraries in C++ tell it in words
+    return any(os.strerror(number) in str(error) for number in NO_ROOM)  # libraries in C++ give it as text
 
 
 @dataclasses.dataclass

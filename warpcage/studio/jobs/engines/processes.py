@@ -45,18 +45,18 @@ class WorkerDied(RuntimeError):
 
 
 class LocalProcess:
-    """A process of this machine, which ends with whoever started it. What is asked and answered goes through pipes."""
+    """A process of this machine, which ends with the process that started it. Calls and answers go through pipes."""
 
     def __init__(self, started: Started):
-        self._started, self._process, self._words = started, started.process, started.words
+        self._started, self._process, self._stderr = started, started.process, started.stderr
         self._lock, self._numbers, self._ended = threading.Lock(), itertools.count(), ""
         self._waiting: dict[int, Future[Any]] = {}
         self._asked: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        for work in (self._send, self._receive):  # a process that hangs reads nothing: nobody else is to wait for it
+        for work in (self._send, self._receive):  # a process that hangs reads nothing: no other thread waits for it
             threading.Thread(target=work, name="warpcage-process", daemon=True).start()
 
     def begin(self, settings: RunnerSettings) -> None:
-        """Tell it, once, what it works for."""
+        """Send the settings, once."""
         self._asked.put(pickle.dumps(settings))
 
     def ask(self, method: str, *given: Any) -> Future[Any]:
@@ -81,7 +81,7 @@ class LocalProcess:
         self._started.end()
 
     def _send(self) -> None:
-        """Hand over what is asked, in a thread."""
+        """Send calls, in a thread."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError), self._process.stdin as pipe:
             while (message := self._asked.get()) is not None:
@@ -89,9 +89,9 @@ class LocalProcess:
                 pipe.flush()
 
     def _receive(self) -> None:
-        """Hand over answers, in a thread, until the process ends."""
+        """Receive answers, in a thread, until the process ends."""
         assert self._process.stdout is not None
-        with self._process.stdout as pipe, self._words:
+        with self._process.stdout as pipe, self._stderr:
             while (answer := message(pipe)) is not None:
                 number, error, found = pickle.loads(answer)
                 future = self._waiting.pop(number)
@@ -99,19 +99,19 @@ class LocalProcess:
                     future.set_result(found)
                 else:
                     future.set_exception(WorkerDied(error))
-            line = self._last_words(self._process.wait())
+            line = self._last_line(self._process.wait())
         with self._lock:
             self._ended = line
         self._asked.put(None)
         for future in self._waiting.values():
             future.set_exception(WorkerDied(line))
 
-    def _last_words(self, status: int) -> str:
+    def _last_line(self, status: int) -> str:
         """Why the process ended; status: negative is a signal."""
         if status < 0:
             return "its worker died: killed, or a crash of the process"
-        self._words.seek(0)
-        lines = self._words.read().decode(errors="replace").split("\n")
+        self._stderr.seek(0)
+        lines = self._stderr.read().decode(errors="replace").split("\n")
         said = next((line.strip() for line in reversed(lines) if line.strip()), "")
         return f"its worker died: exit status {status}{': ' if said else ''}{said}"
 
@@ -120,7 +120,7 @@ class LocalProcess:
 def processes_beforehand(
     workers: int, count: int, device: str | None, loads: bool
 ) -> Iterator[Mapping[str, LocalProcess]]:
-    """Processes of the first `count` of so many workers, by their names; none is left, whoever used them.
+    """Processes of the first `count` of so many workers, by their names; none is left at the end.
     They are those of `early_processes` where there are some. loads: as `Started` has it."""
     processes: dict[str, LocalProcess] = {}
     try:
@@ -203,7 +203,7 @@ CONNECT = 10.0
 
 def load_ray() -> types.ModuleType:
     """Ray, which only clusters need."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nobody is told
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no reports of usage
     try:
         import ray
     except ImportError:
@@ -280,7 +280,7 @@ class RayProcess:
             self._ray.kill(self._actor)
 
     def wait(self) -> None:
-        """Ray does not tell."""
+        """Ray does not say."""
 
 
 class RayHost:
@@ -332,7 +332,7 @@ class RayHost:
         return "its worker died: killed, or a crash of the process"
 
 
-#: Workers up to which a driver is told when the items of a chunk are begun, so that another one can be under way while
+#: Workers up to which a driver learns when the items of a chunk are begun, so that another one can be under way while
 #: files are written. Chunks of more workers take so long that this gains nothing, and costs the driver a message each.
 MAX_OVERLAPPING = 64
 
@@ -383,7 +383,7 @@ class ProcessEngine:
         )
 
     def cancel(self, worker: str) -> None:
-        """End the process of a worker, wherever it is at; what it has not answered is not heard any more."""
+        """End the process of a worker, wherever it is at; later answers of it are ignored."""
         self._ready.discard(worker)
         if not self._ready:
             self._alone_since = self.now()
@@ -396,9 +396,9 @@ class ProcessEngine:
         """What workers answered since, at least once unless the time passes; a RuntimeError where none could start for
         a long time. Of a worker that is ended while this is looked through no more answers come."""
         with contextlib.suppress(queue.Empty):
-            told = self._answers.get(timeout=timeout)
+            received = self._answers.get(timeout=timeout)
             while True:
-                worker, process, method, number, answer = told
+                worker, process, method, number, answer = received
                 if process is self._processes.get(worker):  # else one that is gone
                     error = answer.exception()
                     if error is not None:
@@ -408,7 +408,7 @@ class ProcessEngine:
                             self._ready.add(worker)
                             self.places[worker] = answer.result()
                         yield Answer(worker, method, number, answer.result())
-                told = self._answers.get_nowait()
+                received = self._answers.get_nowait()
         if not self._ready and self.now() - self._alone_since > self._host.patience:
             raise StateError(f"no worker started within {self._host.patience:.0f} s{self._host.no_place}")
 
@@ -421,7 +421,7 @@ class ProcessEngine:
         self._processes.clear()
 
 
-SLOW = 0.5  # seconds of an item; then a chunk is settled before the next, as this thread tells of it only after that
+SLOW = 0.5  # seconds of an item; then a chunk is settled before the next, as this thread reports it only after that
 
 
 class LocalEngine:
@@ -433,7 +433,7 @@ class LocalEngine:
         self._runner = runner
         self._given: tuple[str, Chunk] | None = None
         self._settling = ThreadPoolExecutor(MAX_CHUNKS, "warpcage-settling")
-        self._told: queue.SimpleQueue[tuple[str, str, int, Future[Any]]] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[tuple[str, str, int, Future[Any]]] = queue.SimpleQueue()
         self._ending = 0
 
     def now(self) -> float:
@@ -443,14 +443,14 @@ class LocalEngine:
         """The worker is here; a RuntimeError when it is started again."""
         if start > 1:  # a device that is lost stays so in this process
             raise StateError("the device works no more in this process: run again, what is made is kept")
-        self._tell(worker, "facts", 0)
+        self._report(worker, "facts", 0)
 
     def submit(self, worker: str, method: str, *given: Any) -> None:
-        """Take a chunk, which `wait` makes; nothing comes back of one, as nobody can ask while it is made."""
+        """Take a chunk, which `wait` makes; none comes back on recall, as no call arrives while it is made."""
         if method == "run":
             self._given = worker, given[0]
         elif method == "recall":
-            self._tell(worker, method, given[0], [])
+            self._report(worker, method, given[0], [])
         else:
             self._runner.stop()
 
@@ -464,29 +464,29 @@ class LocalEngine:
             start = self.now()
             begun = self._runner.begin(order)
             if self.now() - start > SLOW * len(order.items):
-                self._tell(worker, "run", order.number, self._runner.settle(begun))
+                self._report(worker, "run", order.number, self._runner.settle(begun))
             else:
                 self._ending += 1
-                self._tell(worker, "begun", order.number)
+                self._report(worker, "begun", order.number)
                 self._settling.submit(self._runner.settle, begun).add_done_callback(
-                    lambda done: self._told.put((worker, "run", order.number, done))
+                    lambda done: self._answers.put((worker, "run", order.number, done))
                 )
         answers: list[Answer] = []
-        while not self._told.empty() or (self._ending and not answers):
+        while not self._answers.empty() or (self._ending and not answers):
             try:
-                worker, method, number, found = self._told.get(timeout=timeout)
+                worker, method, number, found = self._answers.get(timeout=timeout)
             except queue.Empty:
                 break
             answers.append(Answer(worker, method, number, found.result()))
             self._ending -= method == "run"
         return answers
 
-    def _tell(self, worker: str, method: str, number: int, found: Any = None) -> None:
+    def _report(self, worker: str, method: str, number: int, found: Any = None) -> None:
         """Let an answer come into the queue."""
         done: Future[Any] = Future()
         done.set_result(found)
         self._ending += method == "run"
-        self._told.put((worker, method, number, done))
+        self._answers.put((worker, method, number, done))
 
     def close(self) -> None:
         """Wait for files that are being written, and close the notes of the worker."""

@@ -28,13 +28,13 @@ class Started:
     loads: meanwhile it loads what makes items, and starts the device."""
 
     def __init__(self, environment: dict[str, str], loads: bool = False, device: str | None = None):
-        self.words = tempfile.TemporaryFile()  # what it prints, of which only the last line may ever be shown
+        self.stderr = tempfile.TemporaryFile()  # what it prints, of which only the last line may ever be shown
         program = f"import sys; sys.path[:] = {[*map(str, sys.path)]!r}; from {__name__} import serve"
         self.process = subprocess.Popen(
             [sys.executable, "-c", f"{program}; serve({loads}, {device and str(device)!r})"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self.words,
+            stderr=self.stderr,
             env=os.environ | environment,
             start_new_session=True,  # Ctrl-C is for the driver, which lets it end what it has begun
         )
@@ -46,15 +46,15 @@ class Started:
             self.process.wait(GONE)
 
     def close(self) -> None:
-        """End a process that nobody has talked to."""
+        """End a process that was not used."""
         self.end()
-        for pipe in (self.process.stdin, self.process.stdout, self.words):
+        for pipe in (self.process.stdin, self.process.stdout, self.stderr):
             if pipe is not None:
                 pipe.close()
 
 
 def gpu_of(number: int) -> dict[str, str]:
-    """What a process is told that has the GPU of a number among those that this one sees; nothing where none is so."""
+    """Environment of a process for one GPU, by its number among those seen here; empty where there is none."""
     seen = os.environ.get("CUDA_VISIBLE_DEVICES")
     names = [str(number)] * (number + 1) if seen is None else seen.split(",") if seen else []
     return {"CUDA_VISIBLE_DEVICES": names[number]} if number < len(names) else {}
@@ -62,7 +62,7 @@ def gpu_of(number: int) -> dict[str, str]:
 
 @dataclasses.dataclass
 class _Early:
-    """Processes that were started before anybody knew whether they have work; `take` hands them out once."""
+    """Processes that were started before it is known whether they have work; each is taken once."""
 
     workers: int = 0
     device: str | None = None
@@ -95,7 +95,7 @@ def taken_early(workers: int, number: int, device: str | None) -> Started | None
 
 
 def early_environment(workers: int, number: int, device: str | None) -> dict[str, str]:
-    """What the process of one of so many workers is told where nobody knows yet whether there are GPUs."""
+    """Environment of the process of one of several workers, before it is known whether there are GPUs."""
     return gpu_of(number) if workers > 1 and device != "cpu" else {}
 
 
@@ -114,7 +114,7 @@ def serve(loads: bool, device: str | None) -> None:
     asked, answers, lock = sys.stdin.buffer, os.fdopen(os.dup(1), "wb"), threading.Lock()
     os.dup2(2, 1)  # what is printed is no answer
     if loads:
-        with contextlib.suppress(Exception):  # it is met again, and told, where the runner is made
+        with contextlib.suppress(Exception):  # it is met again, and reported, where the runner is made
             _load(device)
     settings = message(asked)
     if settings is None:
@@ -141,7 +141,7 @@ def serve(loads: bool, device: str | None) -> None:
 
     while (call := message(asked)) is not None:
         pool.submit(answer, *pickle.loads(call))
-    os._exit(0)  # nobody is there to hear of what it makes
+    os._exit(0)  # its driver is gone
 
 
 def _load(device: str | None) -> None:

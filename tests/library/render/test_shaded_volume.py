@@ -1,4 +1,4 @@
-"""Shades laid out by nodes: what is written to a layer is read between its nodes, by texture units on CUDA."""
+"""Colors laid out by nodes: what is written to a layer is read between its nodes, by texture units on CUDA."""
 
 import field_oracles as oracle
 import numpy as np
@@ -9,10 +9,10 @@ from fields import BOX, shiny_field, view
 from warpcage import Deformer
 from warpcage.core import half_texture
 from warpcage.field import ColumnTable
-from warpcage.kernels.render.volume import SHADE_LAYERS, ShadedVolume, laid_shade, write_shaded_volume
+from warpcage.kernels.render.volume import COLOR_LAYERS, ShadedVolume, shaded_value, write_shaded_volume
 
 COUNTS = (5, 7, 6)
-LAYERS = int(SHADE_LAYERS)
+LAYERS = int(COLOR_LAYERS)
 
 
 @wp.kernel
@@ -23,7 +23,7 @@ def write_all(laid: ShadedVolume, values: wp.array2d(dtype=wp.vec4)):
 
 @wp.kernel
 def read_all(laid: ShadedVolume, places: wp.array(dtype=wp.vec3), layer: int, found: wp.array(dtype=wp.vec4)):
-    found[wp.tid()] = laid_shade(laid, places[wp.tid()], layer)
+    found[wp.tid()] = shaded_value(laid, places[wp.tid()], layer)
 
 
 def written(values, device):
@@ -31,7 +31,7 @@ def written(values, device):
     laid, texture = ShadedVolume(), None
     laid.node_counts = wp.vec3i(*COUNTS)
     if wp.get_device(device).is_cpu:
-        laid.shades = wp.zeros(values.shape[0] * values.shape[1], dtype=wp.vec4, device=device)
+        laid.colors = wp.zeros(values.shape[0] * values.shape[1], dtype=wp.vec4, device=device)
     else:
         texture = half_texture((LAYERS * COUNTS[0], *COUNTS[1:]), device)
         laid.texture, laid.surface = texture.cuda_texture, texture.cuda_surface
@@ -74,19 +74,19 @@ def test_a_field_keeps_one_texture_and_it_begins_empty(device):
     if wp.get_device(device).is_cpu:
         pytest.skip("CUDA only")
     table = ColumnTable(oracle.random_field(device, resolution=(6, 5, 7), keep=0.5)[0].grid.links)
-    texture = table.shade_texture(LAYERS)
+    texture = table.color_texture(LAYERS)
     assert (texture.depth, texture.height, texture.width) == (LAYERS * 6, 5, 7)
     numbers = wp.empty((LAYERS * 6, 5, 7), dtype=wp.vec4h, device=device)
     texture.copy_to(numbers)
     assert not numbers.numpy().any()
-    assert table.shade_texture(LAYERS) is texture
+    assert table.color_texture(LAYERS) is texture
     with wp.ScopedStream(wp.Stream(device)):
-        assert table.shade_texture(LAYERS) is not texture
-    assert table.shade_texture(LAYERS) is texture
+        assert table.color_texture(LAYERS) is not texture
+    assert table.color_texture(LAYERS) is texture
 
 
 def test_frames_of_other_streams_are_the_same(device):
-    """They have shades of their own."""
+    """They have colors of their own."""
     if wp.get_device(device).is_cpu:
         pytest.skip("CUDA only")
     deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=24).pose(BOX.twist(40))

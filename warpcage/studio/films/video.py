@@ -1,4 +1,4 @@
-"""Films as files: H.264 video, animated GIF, and ProRes 4444 and VP9, which keep opacity."""
+"""Video files: H.264, animated GIF, and with opacity ProRes 4444 and VP9."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import Cuts, checked_positive, checked_whole
-from ..core.files import atomic_path, read_npz, require_numbers
-from ..core.memory import require_host_memory
-from ..core.overlap import stream
-from ..core.reports import Progress, report_progress, reports_progress
-from ..errors import InputError
-from .motion import frame_rate
-from .opacity import with_spread_colors
-from .pictures import COLORS, as_rgb, path_with_ending, picture_cuts, read_image, to_uint8
+from ...core.checks import Cuts, checked_positive, checked_whole
+from ...core.files import atomic_path
+from ...core.memory import require_host_memory
+from ...core.npz import read_npz, require_numbers
+from ...core.overlap import stream
+from ...core.reports import Progress, report_progress, reports_progress
+from ...errors import InputError
+from ...view.motion import frame_rate
+from ...view.pictures import COLORS, as_rgb, path_with_ending, picture_cuts, read_image, to_uint8
 
-#: How names of films end, and those of films with opacity.
+#: Endings of films, and of films with opacity.
 FILM_ENDINGS, CLEAR_ENDINGS = (".mp4", ".gif", ".mov", ".webm"), (".mov", ".webm")
 
 #: Frames per second, least and most: of a video, and of a GIF, which counts hundredths of a second. Viewers slow down
@@ -40,9 +40,15 @@ MIN_COLORS, MAX_COLORS = 2, 256
 #: Frames that a GIF's palette is chosen from.
 PALETTE_FRAMES = 12
 
-#: Bytes of frames of a GIF between looks at the memory, and bytes a pixel that it takes beside its frames until it is
-#: written: one as it is indexed, and two more in Pillow, which compares each with the one before.
+#: Bytes of frames of a GIF between checks of free memory, and bytes a pixel that it needs beside its frames: one for
+#: the indexed frame, two in Pillow, which compares each frame with the one before.
 GIF_LOOK, GIF_COPIES = 1 << 27, 3
+
+#: Pixels by which colours are continued beyond an edge: the blocks of video codecs are 8 to 32 pixels wide.
+SPREAD = 24
+
+#: Opacity below which 8 bits show nothing.
+CLEAR = 0.5 / 255.0
 
 
 def checked_rate(fps: float | Fraction, ending: str) -> Fraction:
@@ -82,16 +88,22 @@ def write_film(
     They are taken one by one, in this thread, and encoded by others while the next are made; `loop` is of a GIF."""
     ending = os.path.splitext(path)[1].lower()
     if ending == ".mp4":
-        write_video(path, frames, fps)
+        write_video(path, frames, fps, progress=progress)
     elif ending == ".gif":
-        write_gif(path, frames, fps, loop=loop)
+        write_gif(path, frames, fps, loop=loop, progress=progress)
     elif ending in CLEAR_ENDINGS:
-        write_clear_video(path, frames, fps)
+        write_clear_video(path, frames, fps, progress=progress)
     else:
         raise InputError(f"film {str(path)!r} must end in {', '.join(FILM_ENDINGS)}")
 
 
-def write_clear_video(path: str | os.PathLike[str], frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
+def write_clear_video(
+    path: str | os.PathLike[str],
+    frames: Iterable[ArrayLike],
+    fps: float | Fraction = 24.0,
+    *,
+    progress: bool | Progress = False,
+) -> None:
     """Write a video that keeps opacity, whole or not at all: ProRes 4444 (.mov) or VP9 (.webm).
     Frames (h, w, 4) with straight colours, or (h, w, 3), in [0, 1] or uint8, are taken one by one."""
     # Straight colours, as players of both take them; BT.709, limited range. ProRes is for editors, VP9 for browsers.
@@ -101,7 +113,7 @@ def write_clear_video(path: str | os.PathLike[str], frames: Iterable[ArrayLike],
     rate = checked_rate(fps, ending)
     with picture_cuts(path) as cuts, atomic_path(path) as temporary:
         prepare = functools.partial(deep_pixels, cuts=cuts)
-        stream(_own(frames), prepare, functools.partial(_encode_clear, temporary, ending, rate))
+        stream(_owned(frames, progress), prepare, functools.partial(_encode_clear, temporary, ending, rate))
 
 
 def _encode_clear(path: pathlib.Path, ending: str, rate: Fraction, images: Iterable[np.ndarray]) -> None:
@@ -129,7 +141,7 @@ _LIMITED = 1
 
 
 def _tag_colors(video: Any) -> None:
-    """Say what the colours of a stream are, which players guess otherwise; PyAV does not convert by it."""
+    """Tag the colour space of a stream, which players guess otherwise; PyAV does not convert by it."""
     video.color_range, video.color_primaries, video.color_trc, video.colorspace = _LIMITED, 1, 1, 1
 
 
@@ -154,13 +166,30 @@ def _clear_codec(ending: str, clear: bool) -> tuple[str, str, dict[str, str]]:
     return ("yuva420p" if clear else "yuv420p"), "libvpx-vp9", {"crf": "18", "b": "0", "auto-alt-ref": "0"}
 
 
-def _own(frames: Iterable[ArrayLike]) -> Iterator[np.ndarray]:
+def _owned(frames: Iterable[ArrayLike], progress: bool | Progress) -> Iterator[np.ndarray]:
     """The frames as arrays that stay as they are while the next ones are made: copies of those that can be written."""
     total = len(frames) if isinstance(frames, Sized) else 0
     for index, frame in enumerate(frames, 1):
-        report_progress(index, total, "film")
+        report_progress(progress, index, total, "film")
         pixels = np.asarray(frame)
         yield pixels.copy() if pixels.flags.writeable else pixels
+
+
+def with_spread_colors(rgba: ArrayLike, reach: int = SPREAD) -> np.ndarray:
+    """A picture (h, w, 4), straight colours in [0, 1], whose clear pixels take the colour of the nearest one that is
+    not clear, up to `reach` pixels away."""
+    # Codecs halve colours apart from opacity: the black behind clear pixels would be a dark rim around the object.
+    from scipy.ndimage import distance_transform_edt
+
+    spread = np.array(rgba, np.float32)
+    clear = spread[..., 3] < CLEAR
+    if clear.all() or not clear.any():
+        return spread
+    # SciPy's stubs know no more than that it returns something
+    distance, (row, column) = distance_transform_edt(clear, return_indices=True)  # pyright: ignore[reportGeneralTypeIssues]
+    filled = clear & (distance <= reach)
+    spread[filled, :3] = spread[row[filled], column[filled], :3]
+    return spread
 
 
 def deep_pixels(pixels: np.ndarray, cuts: Cuts | None = None) -> np.ndarray:
@@ -209,14 +238,20 @@ def _byte_pixels(pixels: np.ndarray, cuts: Cuts) -> np.ndarray:
     return to_uint8(as_rgb(pixels), cuts)
 
 
-def write_video(path: str | os.PathLike[str], frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
+def write_video(
+    path: str | os.PathLike[str],
+    frames: Iterable[ArrayLike],
+    fps: float | Fraction = 24.0,
+    *,
+    progress: bool | Progress = False,
+) -> None:
     """Write an H.264 video that browsers play (yuv420p), whole or not at all; odd sizes lose their last row or column.
     Frames are (h, w, 3) of one size, in [0, 1] or uint8, and are taken one by one."""
     path = path_with_ending(path, ".mp4")
     rate = checked_rate(fps, ".mp4")
     with picture_cuts(path) as cuts, atomic_path(path) as temporary:
         prepare = functools.partial(_byte_pixels, cuts=cuts)
-        stream(_own(frames), prepare, functools.partial(_encode_video, temporary, rate))
+        stream(_owned(frames, progress), prepare, functools.partial(_encode_video, temporary, rate))
 
 
 def _encode_video(path: pathlib.Path, rate: Fraction, images: Iterable[np.ndarray]) -> None:
@@ -243,6 +278,7 @@ def write_gif(
     *,
     colors: int = 128,
     loop: bool = True,
+    progress: bool | Progress = False,
 ) -> None:
     """Write an animated GIF with one palette, kept small, whole or not at all, of frames (h, w, 3), in [0, 1] or uint8.
     All are held in memory until the last one is there: the palette is of all of them."""
@@ -254,7 +290,7 @@ def write_gif(
     images: list[np.ndarray] = []
     with picture_cuts(path) as cuts:
         prepare = functools.partial(_byte_pixels, cuts=cuts)
-        stream(_own(frames), prepare, lambda ready: images.extend(_that_fit(_of_one_size(ready))))
+        stream(_owned(frames, progress), prepare, lambda ready: images.extend(_that_fit(_of_one_size(ready))))
     # one palette for all frames, from a thinned strip of them, so that still regions stay still
     strip = np.concatenate(images[:: max(1, len(images) // PALETTE_FRAMES)])
     palette = Image.fromarray(strip).quantize(colors - 1, method=Image.Quantize.MEDIANCUT)
@@ -314,7 +350,7 @@ def _of_one_size(images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
 
 
 def _that_fit(images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-    """The images of a GIF, as long as there is memory for what becomes of them."""
+    """The images of a GIF, while there is memory for them."""
     since = 0
     for index, pixels in enumerate(images):
         since += pixels.nbytes

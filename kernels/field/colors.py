@@ -25,7 +25,7 @@ class ShadedGrid:
     columns: Columns
     center: wp.vec3  # of the camera
     step: float
-    shades: wp.array2d(dtype=wp.uint32)  # (rows, words): red, green, blue less 0.5 and optical depth of a step
+    colors: wp.array2d(dtype=wp.uint32)  # (rows, uint32s): red, green, blue less 0.5 and optical depth of a step
 
 
 @forward.func_native(native_source(__file__, "cpp/shade_color.h"))
@@ -40,16 +40,16 @@ def shade_color(sh: wp.array2d(dtype=wp.float32), row: wp.int32, basis: vec16) -
 """
     + FOUR_HALVES
     + """
-    reinterpret_cast<uint2*>(shades.data)[row] = make_uint2(r | (g << 16), b | (a << 16));
+    reinterpret_cast<uint2*>(colors.data)[row] = make_uint2(r | (g << 16), b | (a << 16));
 #else
     const float limit = 65504.0f;
-    float* shade = reinterpret_cast<float*>(shades.data) + 4 * (size_t)row;
+    float* shade = reinterpret_cast<float*>(colors.data) + 4 * (size_t)row;
     for (int i = 0; i < 4; ++i)  // also of what is no number
         shade[i] = value.c[i] > limit ? limit : (value.c[i] >= -limit ? value.c[i] : -limit);
 #endif
 """
 )
-def write_shade(shades: wp.array2d(dtype=wp.uint32), row: wp.int32, value: wp.vec4):
+def write_color(colors: wp.array2d(dtype=wp.uint32), row: wp.int32, value: wp.vec4):
     """Keep red, green, blue and optical depth of a row: halves on CUDA, floats on a CPU."""
     ...
 
@@ -79,19 +79,19 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
     place = row_place(grid, shaded.columns.node_counts, nodes[n])
     color = shade_color(grid.sh, row, sh_basis(wp.normalize(place - shaded.center)))
     if item < nodes.shape[0]:
-        write_shade(shaded.shades, n, wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step))
+        write_color(shaded.colors, n, wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step))
 
 
 @forward.func_native("""
     float r = 0.0f, g = 0.0f, b = 0.0f, d = 0.0f;
 #if defined(__CUDA_ARCH__)
-    const uint2* shades = reinterpret_cast<const uint2*>(data.data);
+    const uint2* colors = reinterpret_cast<const uint2*>(data.data);
     #pragma unroll
     for (int c = 0; c < 8; ++c)
     {
         uint2 shade = make_uint2(0u, 0u);
         if (rows.c[c] >= 0)
-            shade = __ldg(shades + rows.c[c]);
+            shade = __ldg(colors + rows.c[c]);
         const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0]) * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1])
             * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
         wp::half h;
@@ -103,7 +103,7 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
     return wp::vec_t<4, wp::float32>(r, g, b, d);
 #else
     typedef float four __attribute__((ext_vector_type(4), aligned(4)));
-    const four* shades = reinterpret_cast<const four*>(data.data);
+    const four* colors = reinterpret_cast<const four*>(data.data);
     four sum = 0.0f;
     for (int c = 0; c < 8; ++c)
         if (rows.c[c] >= 0)
@@ -111,17 +111,17 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
             #pragma clang fp contract(fast)
             const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0])
                 * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1]) * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
-            sum += weight * shades[rows.c[c]];
+            sum += weight * colors[rows.c[c]];
         }
     return wp::vec_t<4, wp::float32>(sum.x, sum.y, sum.z, sum.w);
 #endif
 """)
-def blended_shades(data: wp.array2d(dtype=wp.uint32), rows: eight_rows, offset: wp.vec3) -> wp.vec4:
-    """Trilinear shade at a place, 0 to 1, in the cell of eight rows."""
+def blended_colors(data: wp.array2d(dtype=wp.uint32), rows: eight_rows, offset: wp.vec3) -> wp.vec4:
+    """Trilinear red, green, blue less 0.5 and optical depth at a place, 0 to 1, in the cell of eight rows."""
     ...
 
 
 @wp.func
-def shade_at(shaded: ShadedGrid, i: int, j: int, k: int, offset: wp.vec3):
-    """Trilinear shade at a place, 0 to 1, in the cell above node (i, j, k); the colour still lacks its 0.5."""
-    return blended_shades(shaded.shades, cell_rows(shaded.columns, i, j, k), offset)
+def color_at(shaded: ShadedGrid, i: int, j: int, k: int, offset: wp.vec3):
+    """As `blended_colors`, in the cell above node (i, j, k)."""
+    return blended_colors(shaded.colors, cell_rows(shaded.columns, i, j, k), offset)

@@ -26,7 +26,7 @@ from fields import (
 from warpcage import Cage, CageEdit, Deformer
 from warpcage.core import launch, recorded_launches
 from warpcage.field import tables
-from warpcage.kernels.render.volume import SHADE_LAYERS, ShadedVolume, laid_shade, write_shaded_volume
+from warpcage.kernels.render.volume import COLOR_LAYERS, ShadedVolume, shaded_value, write_shaded_volume
 
 TURN = BOX.rotate(35, axis="z").translate([0.2, -0.1, 0.15])
 BEND = BOX.bend(60, axis="x", towards="z")
@@ -47,7 +47,7 @@ def shaded(deformer, camera):
     """A frame of shaded voxels."""
     with recorded_launches() as launched:
         frame = deformer.render(camera)
-    assert_marched_by("views.shades", launched)
+    assert_marched_by("views.shaded", launched)
     return frame
 
 
@@ -63,7 +63,7 @@ def of_rows(deformer, camera):
 def found_places(deformer):
     """Of the only edit: nodes of the rest lattice that are taken somewhere (m, 3), where in the posed lattice (m, 3),
     the signed distance of all nodes to the rest cage, and whether each is taken somewhere."""
-    ((edit, places, _),) = deformer.posed_edits().carried_shades.posed
+    ((edit, places, _),) = deformer.posed_edits().carried_colors.posed
     places, distance = places.numpy(), edit.rest.distance.numpy()
     taken = places[..., 3] > 0
     return edit, np.argwhere(taken), places[taken][:, :3], distance, taken
@@ -93,7 +93,7 @@ def test_directions_of_affine_poses(kind, device):
     camera = view()
     shaded(deformer, camera)
     edit, _nodes, _, distance, taken = found_places(deformer)
-    ((_, _, cage),) = deformer.posed_edits().carried_shades.posed
+    ((_, _, cage),) = deformer.posed_edits().carried_colors.posed
     aims = cage.aims.numpy().reshape(*taken.shape, 4)
     x = np.array(edit.rest.lower) + edit.rest.spacing * np.argwhere(taken) + deformer.field.center
     along = x - np.linalg.solve(matrix, camera.center - offset)
@@ -196,21 +196,21 @@ def test_a_map_that_throws_a_node_far_away_takes_rows(device):
 
 
 def test_what_takes_rows(device):
-    """Cameras near the field or the posed cage, and fields for whose shades memory is short."""
+    """Cameras near the field or the posed cage, and fields for whose colors memory is short."""
     field = shiny_field(device)
     near, far = view(), view((7.5, 2.5, 3.4))
     away = BOX.translate([3.4, 1.0, 1.5])
 
     def used(edit, pose, camera, most=np.inf):
         deformer = Deformer(field, edit, resolution=16).pose(pose)
-        deformer.posed_edits().most_shades = most
+        deformer.posed_edits().max_color_bytes = most
         with recorded_launches() as launched:
             frame = deformer.render(camera)
         return marches(launched), frame
 
-    assert used(BOX, TURN, near)[0] == ["views.shades"]
+    assert used(BOX, TURN, near)[0] == ["views.shaded"]
     assert used(BOX, away, near)[0] == ["views.rows"]
-    assert used(BOX, away, far)[0] == ["views.shades"]
+    assert used(BOX, away, far)[0] == ["views.shaded"]
     assert used(BOX, TURN, view((0.3, 0.2, 0.1)))[0] == ["views.rows"]
     marched, frame = used(BOX, TURN, near, most=1000)
     assert marched == ["views.rows"]
@@ -240,7 +240,7 @@ def read_depths(
     first: int, laid: ShadedVolume, places: wp.array(dtype=wp.vec3), layer: int, depths: wp.array(dtype=float)
 ):
     n = first + wp.tid()
-    depths[n] = laid_shade(laid, places[n], layer)[3]
+    depths[n] = shaded_value(laid, places[n], layer)[3]
 
 
 @pytest.mark.parametrize("cells", [16, 24, 32])
@@ -250,14 +250,14 @@ def test_rows_that_are_seen_from_both_sides_of_a_cage(cells, device):
     deformer = Deformer(field, BOX, coordinates="mean_value", resolution=cells).pose(TURN)
     frame = shaded(deformer, view((5.0, 2.4, 2.0)))
     assert frame.alpha.max() > 0
-    shades, table = deformer.posed_edits().carried_shades, field.marching.columns
-    ((edit, _, _),) = shades.posed
-    laid = shades.shades(field.marching.grid(), table, wp.vec3(5.0, 2.4, 2.0), 1.0)
+    colors, table = deformer.posed_edits().carried_colors, field.marching.columns
+    ((edit, _, _),) = colors.posed
+    laid = colors.shaded(field.marching.grid(), table, wp.vec3(5.0, 2.4, 2.0), 1.0)
     nodes = np.stack(np.unravel_index(table.nodes.numpy(), field.resolution), axis=1)
     held = wp.array(np.minimum(nodes, np.array(field.resolution) - 1.001), dtype=wp.vec3, device=device)
     depths = wp.zeros(len(nodes), dtype=wp.float32, device=device)
     has_layer = []
-    for layer in range(int(SHADE_LAYERS)):
+    for layer in range(int(COLOR_LAYERS)):
         launch(read_depths, len(nodes), [laid, held, layer], [depths], device=device)
         has_layer.append(depths.numpy() > 1.5)
     is_plain, is_carried = has_layer
@@ -293,7 +293,7 @@ def test_several_edits_each_with_its_own_directions(device):
 
 
 def test_frames_do_not_depend_on_the_ones_before(device):
-    """Shades are kept from frame to frame, and so are those of other deformers of the field."""
+    """Colors are kept from frame to frame, and so are those of other deformers of the field."""
     field = shiny_field(device)
     cameras = [view(), view((-1.4, 2.2, 1.6))]
     deformers = [Deformer(field, BOX, coordinates="mean_value", resolution=24).pose(pose) for pose in (TURN, BEND)]
@@ -330,7 +330,7 @@ def test_frames_read_no_shade_that_they_do_not_write(how, device):
     camera = view((3.4, 1.6, 1.3))
     expected = shaded(deformer, camera)
     with pytest.MonkeyPatch.context() as patch:
-        spoil_shades(deformer, patch)
+        spoil_colors(deformer, patch)
         found = shaded(deformer, camera)
     for name in expected.arrays:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)
@@ -339,23 +339,23 @@ def test_frames_read_no_shade_that_they_do_not_write(how, device):
     assert psnr(found.rgb, rows.rgb) > 55 and psnr(found.reveal, rows.reveal) > 55
 
 
-def spoil_shades(deformer, patch):
-    """Let frames begin with shades of thick white matter at all rows, in both layers."""
-    shades = deformer.posed_edits().carried_shades
-    shaded_volume = shades.shaded_volume
+def spoil_colors(deformer, patch):
+    """Let frames begin with colors of thick white matter at all rows, in both layers."""
+    colors = deformer.posed_edits().carried_colors
+    shaded_volume = colors.shaded_volume
 
     def spoiled(table):
         laid = shaded_volume(table)
         launch(whiten, table.nodes.shape[0], [table.nodes, laid], device=deformer.device)
         return laid
 
-    patch.setattr(shades, "shaded_volume", spoiled)
+    patch.setattr(colors, "shaded_volume", spoiled)
 
 
 @wp.kernel(module="unique")
 def whiten(first: int, nodes: wp.array(dtype=wp.int32), laid: ShadedVolume):
     node = nodes[first + wp.tid()]
-    for layer in range(SHADE_LAYERS):
+    for layer in range(COLOR_LAYERS):
         write_shaded_volume(laid, node, layer, wp.vec4(0.5, 0.5, 0.5, 100.0))
 
 
