@@ -16,8 +16,9 @@ from common import HERE, UsageError, command, option
 
 #: What both trees get, made by the first: a field of two balls, splats of it, cages, poses, cameras.
 INPUTS = """
-import importlib.util, numpy as np, warpcage
-demo = importlib.import_module("warpcage.demo" if importlib.util.find_spec("warpcage.demo") else "warpcage.reference")
+import importlib, pathlib, numpy as np, warpcage
+is_new = (pathlib.Path(warpcage.__file__).parent / "demo").is_dir()  # not up to version 0.2
+demo = importlib.import_module("warpcage.demo" if is_new else "warpcage.reference")
 places = np.linspace(-0.975, 0.975, 40)
 x, y, z = np.meshgrid(places, places, places, indexing="ij")
 far = np.minimum(np.hypot(np.hypot(x, y), z - 0.2) - 0.5, np.hypot(np.hypot(x - 0.4, y), z + 0.5) - 0.3)
