@@ -12,7 +12,6 @@ import numpy as np
 from ..cage.cage import Cage
 from ..coordinate_kinds import names_where
 from ..coordinates.coordinates import deform_points
-from ..core.checks import require_type
 from ..core.names import (
     DENSITIES,
     SPLAT_MAPS,
@@ -361,6 +360,8 @@ BACKENDS: tuple[type[AnyBackend], ...] = (VoxelBackend, SplatBackend, SampledBac
 
 def backend_of(field: Deformable) -> type[AnyBackend]:
     """The backend of a field."""
-    found = next((backend for backend in BACKENDS if isinstance(field, backend.kind)), VoxelBackend)
-    require_type(field, found.kind, "a Deformer needs")
+    found = next((backend for backend in BACKENDS if isinstance(field, backend.kind)), None)
+    if found is None:
+        kinds = ", ".join(backend.kind.__name__ for backend in BACKENDS[:-1])
+        raise InputError(f"a Deformer needs a {kinds} or {BACKENDS[-1].kind.__name__}, got {type(field).__name__}")
     return found

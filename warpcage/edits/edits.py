@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.checks import checked_number, renamed, warn_caller
+from ..core.checks import checked_flag, checked_number, renamed, warn_caller
 from ..errors import InputError
 from ..mesh.validity import require_usable
 from ..view.camera import Camera
@@ -60,6 +60,8 @@ class CageEdit:
     def __post_init__(self) -> None:
         if not isinstance(self.cage, Cage):
             raise InputError(f"an edit needs a Cage, got {type(self.cage).__name__}")
+        for name in ("keep_source", "remove"):
+            object.__setattr__(self, name, checked_flag(getattr(self, name), name))
         if self.keep_source and self.remove:
             raise InputError("an edit that removes its cage's content cannot keep the source: choose one")
         require_usable(self.cage, "the rest cage")
