@@ -48,7 +48,10 @@ WRONG = {
     "ragged points": (lambda field: CAGE.contains([[0, 0, 0], [0, 0]]), "real numbers, got list"),
     "number as a pose": (lambda field: deformer(field).pose(5), "edit 0 .* int"),
     "cage as a field": (lambda field: wc.Deformer(CAGE, field), "SampledField or SurfaceMesh, got Cage"),
-    "text as a flag of an edit": (lambda field: wc.CageEdit(CAGE, remove="no"), "remove must be true or false, got 'no'"),
+    "text as a flag of an edit": (
+        lambda field: wc.CageEdit(CAGE, remove="no"),
+        "remove must be true or false, got 'no'",
+    ),
     "name as a camera": (lambda field: field.render("test:3"), "a Camera, got str"),
     "no camera": (lambda field: deformer(field).render(None), "a Camera, got NoneType"),
     "path as a pose to match": (lambda field: CAGE.match("posed.obj"), "the pose must be a Cage, got str"),
