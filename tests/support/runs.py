@@ -99,12 +99,14 @@ def pictures(out):
 
 
 def require_same_film(one, other):
-    """The same file, or for .mp4 the same pictures: of equal frames x264 now and then writes some other bytes."""
+    """The same file, or for .mp4 the same pictures but for what x264 loses."""
+    # It codes equal frames in another way now and then: small ones are 38 dB apart then, neighbouring frames 27 dB.
     if one.suffix != ".mp4":
         assert one.read_bytes() == other.read_bytes()
         return
-    pictures, others = (iio.imread(path, plugin="pyav").astype(int) for path in (one, other))
-    assert pictures.shape == others.shape and np.abs(pictures - others).max() <= 2
+    pictures, others = (iio.imread(path, plugin="pyav").astype(float) for path in (one, other))
+    assert pictures.shape == others.shape
+    assert ((pictures - others) ** 2).mean(axis=(1, 2, 3)).max() < 26.0  # 34 dB
     assert iio.immeta(one, plugin="pyav")["fps"] == iio.immeta(other, plugin="pyav")["fps"]
 
 
