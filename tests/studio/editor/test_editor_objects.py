@@ -91,7 +91,7 @@ def picture(document, fields, size=(40, 30)):
 # pages ---------------------------------------------------------------------------------------------------------------
 
 
-def test_a_object_is_added_placed_locked_and_undone(folder):
+def test_an_object_is_added_placed_locked_and_undone(folder):
     session = session_in(folder)
 
     async def test(server, page):
@@ -161,7 +161,7 @@ def test_cameras_of_keys_are_moved_back_until_they_see_all(folder):
     with_pages(test, folder, session=session)
 
 
-def test_a_hand_moves_a_object_in_one_step_and_its_turn_goes_on(folder):
+def test_a_drag_moves_an_object_in_one_step_and_its_turn_goes_on(folder):
     session = session_in(folder)
 
     async def test(server, page):

@@ -41,7 +41,7 @@ def add(window: Window, name: str) -> int:
     return window.section("objects")[1]["id"]
 
 
-def test_a_object_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, green: str, tmp_path: Path) -> None:
+def test_an_object_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, green: str, tmp_path: Path) -> None:
     looks_cheap(window)
     number = add(window, green)
     beside = editor.document.scene_object(number).place
@@ -144,7 +144,7 @@ def test_a_object_is_added_dragged_keyed_and_filmed(window: Window, editor: Any,
     window.wait("warpcage.store.sections.objects.length === 2")
 
 
-def test_a_finger_drags_a_object(window: Window, editor: Any, green: str) -> None:
+def test_a_finger_drags_an_object(window: Window, editor: Any, green: str) -> None:
     looks_cheap(window)
     number = add(window, green)
     window.press("T")
@@ -209,7 +209,7 @@ def test_a_new_object_outside_the_view_is_told_and_brought_in(window: Window, ed
 
 
 @pytest.mark.parametrize("again", [True, False], ids=["the line comes back", "the line stays away"])
-def test_a_connection_that_breaks_while_a_object_is_moved(window: Window, editor: Any, again: bool) -> None:
+def test_a_connection_that_breaks_while_an_object_is_moved(window: Window, editor: Any, again: bool) -> None:
     looks_cheap(window)
     with tunnel(editor.url) as (line, address):
         window.open(address)
