@@ -68,11 +68,11 @@ def cell_byte(array: wp.array3d(dtype=wp.uint8), i: int, j: int, k: int) -> int:
         + ((size_t)(unsigned)(i * array.shape[1] + j)) * (unsigned)array.shape[2] + (unsigned)k;
 #if defined(__CUDA_ARCH__)
     const size_t address = reinterpret_cast<size_t>(begin);
-    const unsigned* words = reinterpret_cast<const unsigned*>(address & ~(size_t)3);
+    const unsigned* uint32s = reinterpret_cast<const unsigned*>(address & ~(size_t)3);
     const unsigned from = 8u * (unsigned)(address & 3), to = 8u * (unsigned)(last + 1);
-    unsigned bytes = __ldg(words) >> from;
+    unsigned bytes = __ldg(uint32s) >> from;
     if (from + to > 32u)
-        bytes |= __ldg(words + 1) << (32u - from);
+        bytes |= __ldg(uint32s + 1) << (32u - from);
     bytes |= to < 32u ? ~0u << to : 0u;
     return ((bytes - 0x01010101u) & ~bytes & 0x80808080u) != 0u ? 1 : 0;
 #else
@@ -84,7 +84,7 @@ def cell_byte(array: wp.array3d(dtype=wp.uint8), i: int, j: int, k: int) -> int:
 """)
 def row_has_zero(array: wp.array3d(dtype=wp.uint8), i: int, j: int, k: int, last: int) -> int:
     """1 where any of array[i, j, k] to array[i, j, k + last] is 0, `last` at most 3, of an array without gaps whose
-    memory goes on for three bytes: a GPU reads the words around them."""
+    memory goes on for three bytes: a GPU reads the uint32s around them."""
     ...
 
 

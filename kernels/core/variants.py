@@ -39,6 +39,14 @@ def by_device(cuda: str, cpu: str) -> str:
     return f"#if defined(__CUDA_ARCH__)\n    return {cuda};\n#else\n    return {cpu};\n#endif\n"
 
 
+def native_constants(**values: int | float) -> str:
+    """Constants of Python by their names in C++."""
+    return "".join(
+        f"constexpr {type(value).__name__} {name} = {value}{'f' if isinstance(value, float) else ''};\n"
+        for name, value in values.items()
+    )
+
+
 def native_source(file: str, name: str) -> str:
     """The text of a C++ file beside a Python file, with the files that it includes in their places."""
     path = Path(file).parent / name

@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..core.lanes import grid_place
-from ..field.grid import VoxelGrid, empty_distance, grid_position
+from ..field.grid import PART_REACH, VoxelGrid, empty_distance, grid_position
 from ..lattice.cage_map import CageMap, cell_sides, map_distance
 from .structs import (
     CELL_ALONE,
@@ -244,7 +244,7 @@ def mark_edit_cells(
             upper = wp.max(upper, position)
             if empty and not stays:
                 empty = in_rest_cage(edit, position, edit.slack)
-        reach = 0.5 * (1.0 + step * edit.deformed.inverse_spacing)
+        reach = 0.5 + PART_REACH * step * edit.deformed.inverse_spacing
         empty = empty and scene_is_empty(edits, edit_index, grid, 0.5 * (lower + upper), reach * (upper - lower))
     if edit.removes == 1 or farthest > edit.tolerance:
         h = 0.5 * edit.deformed.spacing

@@ -12,7 +12,7 @@ from ..core.lanes import (
     without_lowest_bit,
 )
 from ..core.loads import byte_entry, cell_byte, row_has_zero, vec4_entry
-from ..field.grid import VoxelGrid, grid_position
+from ..field.grid import PART_REACH, VoxelGrid, grid_position
 from ..lattice.cage_map import map_distance
 from .nodes import node_blend
 from .structs import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, LOOK_SKIP, EditData, entry_of_sides
@@ -202,7 +202,7 @@ def fine_flags(grid: VoxelGrid, edit: EditData, step: float, n: int, fine: int, 
         flags = cell_flags & (CELL_FOLDED | CELL_STEEP | CELL_STAYS)
         flags = flags | wp.where(bounds.upper[3] <= edit.tolerance, CELL_INSIDE, 0)
         if (flags & CELL_STEEP) != 0:
-            beyond = 0.5 * step  # a sample that is cut reaches so far out of the fine cell
+            beyond = PART_REACH * step  # a sample that is cut reaches so far out of the fine cell
             reach = (beyond * edit.inverse_spacing * float(FINE_SIDE)) * (upper - lower)
             lower -= reach
             upper += reach

@@ -17,6 +17,12 @@ forward_only = forward_only_in(__name__, (eight_weights, wp.vec3))
 #: Samples of a ray that float32 can count; rays that meet nothing begin beyond them.
 MAX_SAMPLES = wp.constant(8388608.0)
 
+#: Where in its step a sample of any march is, as a share of the step: 0.5 is the middle.
+SAMPLE_PLACE = wp.constant(0.5)
+
+#: How far the parts of a sample that is cut are from it at most, in steps.
+PART_REACH = wp.constant(max(SAMPLE_PLACE, 1.0 - SAMPLE_PLACE))
+
 #: C++ of several functions: numbers of eight rows, each in its weight, added up. Both widths are known while compiling.
 BLENDED_ROW = """
     const int width = sh.shape[1];
@@ -64,12 +70,16 @@ def grid_position(grid: VoxelGrid, x: wp.vec3):
 
 
 @wp.func
+def cell_below(g: wp.vec3):
+    """(i, j, k) of the cell that holds node coordinates g."""
+    return int(wp.floor(g[0])), int(wp.floor(g[1])), int(wp.floor(g[2]))
+
+
+@wp.func
 def cell_sample(grid: VoxelGrid, g: wp.vec3):
     """Rows and weights around node coordinates g; all rows are -1 outside the grid."""
     result = CellSample()
-    i = int(wp.floor(g[0]))
-    j = int(wp.floor(g[1]))
-    k = int(wp.floor(g[2]))
+    i, j, k = cell_below(g)
     inside = (
         i >= 0
         and j >= 0
@@ -128,9 +138,7 @@ def cell_color(grid: VoxelGrid, cell: CellSample, basis: vec16):
 @wp.func
 def empty_distance(grid: VoxelGrid, g: wp.vec3):
     """Chebyshev distance in cells from the cell of g to the nearest cell that holds anything; 1 outside the grid."""
-    i = int(wp.floor(g[0]))
-    j = int(wp.floor(g[1]))
-    k = int(wp.floor(g[2]))
+    i, j, k = cell_below(g)
     if i < 0 or j < 0 or k < 0 or i >= grid.skip.shape[0] or j >= grid.skip.shape[1] or k >= grid.skip.shape[2]:
         return int(1)
     return int(grid.skip[i, j, k])
@@ -196,9 +204,21 @@ def exit_of_cell(offset: wp.vec3, inverse_rate: wp.vec3, reach: int):
 
 
 @wp.func
+def steps_to_sample(k: float):
+    """Distance along a ray to sample k, in steps. cpp/cpu_samples.h has this and first_sample in C++."""
+    return k + SAMPLE_PLACE
+
+
+@wp.func
+def first_sample(steps: float):
+    """The first sample at or beyond a distance, in steps."""
+    return wp.ceil(steps - SAMPLE_PLACE)
+
+
+@wp.func
 def sample_index_after(t: float, step: float):
     """Index of the first sample at or beyond distance t, at most MAX_SAMPLES."""
-    return int(wp.min(wp.ceil(t / step - 0.5), MAX_SAMPLES))
+    return int(wp.min(first_sample(t / step), MAX_SAMPLES))
 
 
 @wp.struct
@@ -228,7 +248,7 @@ def grid_ray(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, step: float):
 @wp.func
 def sample_distance(ray: GridRay, k: int):
     """From the ray's origin to sample k, world units."""
-    return (float(k) + 0.5) * ray.step
+    return steps_to_sample(float(k)) * ray.step
 
 
 @wp.func

@@ -16,11 +16,13 @@ from .grid import (
     cell_sample,
     empty_distance,
     exit_of_cell,
+    first_sample,
     grid_ray,
     safe_inverse,
     sample_beyond,
     sample_distance,
     sample_place,
+    steps_to_sample,
 )
 from .harmonics import sh_basis
 from .rows import RowTable, row_color
@@ -80,7 +82,7 @@ def image_kernel(shaded: bool) -> Any:
         if wp.static(not shaded):
             pending = float(0.0)  # weight of samples whose colour is not looked up yet
         k = float(ray.first)  # a whole number: no conversions in the loop, where each step waits for the one before
-        t = (k + 0.5) * step
+        t = steps_to_sample(k) * step
         while t < ray.far and result.transmittance > stop:
             g = ray.start + t * ray.slope
             ci = wp.clamp(int(g[0]), 0, tops[0])
@@ -90,7 +92,7 @@ def image_kernel(shaded: bool) -> Any:
             offset = g - wp.vec3(float(ci), float(cj), float(ck))
             if empty > 0:
                 leave = t + exit_of_cell(offset, inverse_slope, empty)
-                after = wp.ceil(leave * inverse_step - 0.5)
+                after = first_sample(leave * inverse_step)
                 k = wp.where(after > k + 1.0, after, k + 1.0)
             else:
                 if wp.static(shaded):
@@ -115,7 +117,7 @@ def image_kernel(shaded: bool) -> Any:
                         result.depth += weight * t
                         result.transmittance *= kept
                 k += 1.0
-            t = (k + 0.5) * step
+            t = steps_to_sample(k) * step
         if wp.static(not shaded):
             result.color += pending_color(result.color, result.transmittance, pending)
         result.color = forward_only(result.color, origin)

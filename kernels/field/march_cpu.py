@@ -3,9 +3,9 @@
 import warp as wp
 
 from ..core.gradients import forward
-from ..core.variants import native_source
+from ..core.variants import native_constants, native_source
 from ..view.rays import TILE_SIZE, PinholeCamera, pixel_direction, tile_pixel
-from .grid import VoxelGrid, grid_ray
+from .grid import SAMPLE_PLACE, VoxelGrid, grid_ray
 from .march import PENDING_WEIGHT, pending_color, visible_depth
 from .occupancy import MatterCells
 from .rows import RowTable
@@ -19,7 +19,7 @@ tile_directions = wp.types.matrix(shape=(32, 3), dtype=wp.float32)
 tile_radiance = wp.types.matrix(shape=(32, 6), dtype=wp.float32)
 
 
-@forward.func_native(native_source(__file__, "cpp/march_cpu.h"))
+@forward.func_native(native_constants(sample_place=SAMPLE_PLACE) + native_source(__file__, "cpp/march_cpu.h"))
 def march_tile(
     grid: VoxelGrid,
     table: RowTable,

@@ -14,7 +14,7 @@ from ..core.gradients import forward, forward_only_in
 from ..core.lanes import ballot, from_lane, grid_place, index_from_lane, product_before, sum_of_lanes
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .background import BackgroundLayers, layer_value, surface_sample
-from .grid import eight_rows, eight_weights, exit_distance
+from .grid import eight_rows, eight_weights, exit_distance, steps_to_sample
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -213,7 +213,7 @@ def outer_piece(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, turn: Out
 @wp.func
 def outer_place(outer: OuterGrid, piece: OuterPiece, k: int):
     """Node coordinates of a sample, clamped to the last nodes towards infinity."""
-    g = piece.start + (float(k) + 0.5) * piece.slope
+    g = piece.start + steps_to_sample(float(k)) * piece.slope
     top = float(outer.links.shape[0] - 1) - 1.0e-3
     return wp.vec3(wp.clamp(g[0], 0.0, top), wp.clamp(g[1], 0.0, top), wp.clamp(g[2], 0.0, top))
 

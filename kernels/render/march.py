@@ -21,12 +21,21 @@ from ..edits.structs import (
     rest_distance,
 )
 from ..field.densities import row_density
-from ..field.grid import VoxelGrid, exit_of_cell, grid_position, grid_span, safe_inverse
+from ..field.grid import (
+    SAMPLE_PLACE,
+    VoxelGrid,
+    cell_below,
+    exit_of_cell,
+    first_sample,
+    grid_position,
+    grid_span,
+    safe_inverse,
+)
 from ..field.harmonics import sh_basis
 from ..field.march import PENDING_WEIGHT
 from ..field.rows import RowTable, row_color
 from ..lattice.cage_map import side_position
-from ..view.rays import box_span
+from ..view.rays import box_span, joined_span
 from .rays import (
     BEGUN,
     FAINT,
@@ -54,9 +63,7 @@ def is_cell(grid: VoxelGrid, i: int, j: int, k: int):
 @wp.func
 def empty_at(grid: VoxelGrid, g: wp.vec3):
     """Distance in cells from node coordinates g to the nearest that holds anything, 0 there; 1 outside the grid."""
-    i = int(wp.floor(g[0]))
-    j = int(wp.floor(g[1]))
-    k = int(wp.floor(g[2]))
+    i, j, k = cell_below(g)
     if not is_cell(grid, i, j, k):
         return int(1)
     return cell_byte(grid.skip, i, j, k)
@@ -66,9 +73,7 @@ def empty_at(grid: VoxelGrid, g: wp.vec3):
 def matter_at(table: RowTable, grid: VoxelGrid, g: wp.vec3, layer: int, step: float):
     """Color, where the table holds it, and optical depth of a step at node coordinates g; 0 where there is nothing.
     layer: of render/volume."""
-    i = int(wp.floor(g[0]))
-    j = int(wp.floor(g[1]))
-    k = int(wp.floor(g[2]))
+    i, j, k = cell_below(g)
     if not is_cell(grid, i, j, k):
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
     offset = g - wp.vec3(float(i), float(j), float(k))
@@ -92,9 +97,7 @@ def matter_color(table: RowTable, grid: VoxelGrid, g: wp.vec3, slope: wp.vec3, d
     both of any length."""
     length = wp.length(slope)
     along = wp.where(length > 1.0e-6, slope / length, wp.normalize(direction))
-    i = int(wp.floor(g[0]))
-    j = int(wp.floor(g[1]))
-    k = int(wp.floor(g[2]))
+    i, j, k = cell_below(g)
     offset = g - wp.vec3(float(i), float(j), float(k))
     return row_color(grid.sh, table.packed, table.columns, i, j, k, offset, sh_basis(along))
 
@@ -205,19 +208,9 @@ def edit_line(edit: EditData, grid: VoxelGrid, origin: wp.vec3, direction: wp.ve
 
 
 @wp.func
-def line_span(line: EditLine):
-    """Distances between which a ray can meet anything; none if the first is not below the second."""
-    meets_box = line.box[0] < line.box[1]
-    meets_grid = line.span[0] < line.span[1]
-    near = wp.min(wp.where(meets_box, line.box[0], 1.0e30), wp.where(meets_grid, line.span[0], 1.0e30))
-    far = wp.max(wp.where(meets_box, line.box[1], -1.0), wp.where(meets_grid, line.span[1], -1.0))
-    return wp.vec2(near, far)
-
-
-@wp.func
 def sample_distance(sample: RaySample, step: float):
     """Distance of a sample from the camera."""
-    return (sample.k + sample.j + 0.5 * wp.abs(sample.share)) * step
+    return (sample.k + sample.j + SAMPLE_PLACE * wp.abs(sample.share)) * step
 
 
 @wp.func
@@ -228,12 +221,6 @@ def ray_sample(k: float, j: float, share: float):
     sample.j = j
     sample.share = share
     return sample
-
-
-@wp.func
-def first_sample(t: float, inverse_step: float):
-    """The first sample at or beyond a distance."""
-    return wp.ceil(t * inverse_step - 0.5)
 
 
 @wp.func
@@ -349,7 +336,7 @@ def next_sample(
             return ray_sample(sample.k, done, sample.share)
     elif is_empty(at):
         leave = leave_empty(edit, grid, line, at, t)
-        return ray_sample(wp.max(sample_after(sample.k), first_sample(leave, options.inverse_step)), 0.0, 1.0)
+        return ray_sample(wp.max(sample_after(sample.k), first_sample(leave * options.inverse_step)), 0.0, 1.0)
     return ray_sample(sample_after(sample.k), 0.0, 1.0)
 
 
@@ -490,12 +477,12 @@ def make_edit_march(has_sides: bool) -> Any:
     ):
         """Gather radiance along a ray through the deformed scene, from where `state` has reached up to `end`."""
         line = edit_line(edit, grid, origin, direction)
-        near_far = line_span(line)
+        near_far = joined_span(line.box, line.span)
         far = wp.min(near_far[1], end)
         ray = MarchedRay()
         ray.seen = state.seen
         ray.pending = state.pending
-        ray.sample = ray_sample(first_sample(wp.max(near_far[0], state.reached), options.inverse_step), 0.0, 1.0)
+        ray.sample = ray_sample(first_sample(wp.max(near_far[0], state.reached) * options.inverse_step), 0.0, 1.0)
         t = sample_distance(ray.sample, options.step)
         foreseen = lattice_place(edit, grid, line, t)
         while t < far and ray.seen.transmittance > options.stop:

@@ -1,13 +1,13 @@
 wp::mat_t<32, 10, wp::float32> seen = before;
 #if !defined(__CUDA_ARCH__)
-bool any = false;
-for (int ray = 0; ray < 32; ++ray)
-    any |= (rays.data[ray][8] + 0.5f) * options.step < rays.data[ray][7];
-if (!any)
-    return seen;
 const bool turns = true;
 float bases[1][40] = {};
 #include "../field/cpp/cpu_samples.h"
+bool any = false;
+for (int ray = 0; ray < 32; ++ray)
+    any |= steps_to_sample(rays.data[ray][8]) * options.step < rays.data[ray][7];
+if (!any)
+    return seen;
 
 // the map of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1, along a ray through a cell, from pointers
 // to four pairs of nodes along the last axis
@@ -92,7 +92,7 @@ auto begin_ray = [&](int lane) {
     for (; next < 32; ++next)
     {
         const float* ray = rays.data[next];
-        const float begin = (ray[8] + 0.5f) * step;
+        const float begin = steps_to_sample(ray[8]) * step;
         if (!(begin < ray[7]))
             continue;
         rate_x[lane] = ray[0];
@@ -159,11 +159,6 @@ while (live)
     const lanes place_x = start.c[0] + t * rate_x, place_y = start.c[1] + t * rate_y;
     const lanes place_z = start.c[2] + t * rate_z;
     const ints in_box = (t >= box_near) & (t < box_far);
-    auto cell_of = [](lanes place, int top) {
-        ints cell = __builtin_convertvector(place, ints);
-        cell = cell < 0 ? (ints)0 : cell;
-        return cell > top ? (ints)top : cell;
-    };
     const ints a = cell_of(place_x, edit.node_counts.c[0] - 2), b = cell_of(place_y, edit.node_counts.c[1] - 2);
     const ints c = cell_of(place_z, nz - 2), at = a * nyz + b * nz + c;
     const lanes f_x = place_x - __builtin_convertvector(a, lanes);
@@ -180,10 +175,10 @@ while (live)
     if (2 * __builtin_popcount(live & bits_of(far_off)) >= __builtin_popcount(live))
     {
         // most lanes only jump: the others wait
-        k = far_off ? higher_of(k_after, __builtin_elementwise_ceil(leave / step - 0.5f)) : k;
+        k = far_off ? higher_of(k_after, first_sample(leave / step)) : k;
         count = far_off ? (lanes)0.0f : count;
         j = far_off ? (lanes)0.0f : j;
-        t = far_off ? (k + 0.5f) * step : t;
+        t = far_off ? steps_to_sample(k) * step : t;
         continue;
     }
 
@@ -277,7 +272,7 @@ while (live)
         leave = off_box ? to : leave;
     }
     const ints jumps = leave > t;
-    const lanes after_leave = higher_of(k_after, __builtin_elementwise_ceil(leave / step - 0.5f));
+    const lanes after_leave = higher_of(k_after, first_sample(leave / step));
 
     // what is cleared, and what leaves the rest cage; room: on the ray, in which no sample does
     const ints clears = ~jumps & ~mapped & (empty == 0) & (clears_source ? -1 : 0);
@@ -344,14 +339,14 @@ while (live)
     const lanes hollow = __builtin_convertvector(empty - 1, lanes) * (thinnest / cut_length);
     const ints runs = ~leaves & ~found & (empty > 1) & ((flags & (cell_inside | cell_steep)) == cell_inside);
     const lanes clear = lower_of(lower_of(cell_exit, hollow), room);
-    const lanes beyond = __builtin_elementwise_ceil((t + clear) / step - 0.5f);
+    const lanes beyond = first_sample((t + clear) / step);
     const lanes follows = (runs & (beyond > k_after)) ? beyond : k_after;
     const lanes next_part = j + 1.0f;
     const ints done = jumps | (acts & (next_part >= parts));
     k = jumps ? after_leave : ((acts & (next_part >= parts)) ? follows : k);
     count = done ? (lanes)0.0f : count;
     j = done ? (lanes)0.0f : (acts ? next_part : j);
-    t = (k + 0.5f + ((j + 0.5f) / higher_of(count, (lanes)1.0f) - 0.5f)) * step;
+    t = (steps_to_sample(k) + (steps_to_sample(j) / higher_of(count, (lanes)1.0f) - sample_place)) * step;
 }
 ask_for_colors();
 add_colors();

@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..core.gradients import forward
-from ..core.variants import native_source
+from ..core.variants import native_constants, native_source
 from ..edits.structs import (
     CELL_FOLDED,
     CELL_INSIDE,
@@ -14,11 +14,11 @@ from ..edits.structs import (
     LOOK_SKIP,
     EditData,
 )
-from ..field.grid import VoxelGrid, grid_span
+from ..field.grid import SAMPLE_PLACE, VoxelGrid, first_sample, grid_span
 from ..field.march import PENDING_WEIGHT
 from ..field.occupancy import MatterCells
 from ..field.rows import RowTable
-from ..view.rays import TILE_SIZE, PinholeCamera, box_span, pixel_direction, tile_pixel
+from ..view.rays import TILE_SIZE, PinholeCamera, box_span, joined_span, pixel_direction, tile_pixel
 from .rays import (
     BEGUN,
     FAINT,
@@ -42,20 +42,18 @@ tile_rays = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
 
 tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
 
-CONSTANTS = "".join(  #: of the march, by their names in C++
-    f"const {kind} {name} = {value}{'f' if kind == 'float' else ''};\n"
-    for kind, name, value in (
-        ("int", "cell_inside", CELL_INSIDE),
-        ("int", "cell_outside", CELL_OUTSIDE),
-        ("int", "cell_stays", CELL_STAYS),
-        ("int", "cell_folded", CELL_FOLDED),
-        ("int", "cell_steep", CELL_STEEP),
-        ("int", "look_skip", LOOK_SKIP),
-        ("int", "most_parts", MAX_SUB_SAMPLES),
-        ("float", "cut_length", float(CUT_LENGTH)),
-        ("float", "faint", float(FAINT)),
-        ("float", "fold_weight", float(FOLD_MIN_WEIGHT)),
-    )
+CONSTANTS = native_constants(
+    sample_place=SAMPLE_PLACE,
+    cell_inside=CELL_INSIDE,
+    cell_outside=CELL_OUTSIDE,
+    cell_stays=CELL_STAYS,
+    cell_folded=CELL_FOLDED,
+    cell_steep=CELL_STEEP,
+    look_skip=LOOK_SKIP,
+    most_parts=MAX_SUB_SAMPLES,
+    cut_length=CUT_LENGTH,
+    faint=FAINT,
+    fold_weight=FOLD_MIN_WEIGHT,
 )
 
 
@@ -121,22 +119,15 @@ def render_edit_tiles(
                     rate = direction * edit.inverse_spacing
                     box = box_span(start, rate, wp.vec3(0.0, 0.0, 0.0), corner)
                     span = grid_span(grid, camera.center, direction)
-                    near = float(1.0e30)
-                    far = float(-1.0)
-                    if box[0] < box[1]:
-                        near = box[0]
-                        far = box[1]
-                    if span[0] < span[1]:
-                        near = wp.min(near, span[0])
-                        far = wp.max(far, span[1])
+                    near_far = joined_span(box, span)
                     for axis in range(3):
                         rays[r, axis] = rate[axis]
                     rays[r, 3] = box[0]
                     rays[r, 4] = box[1]
                     rays[r, 5] = span[0]
                     rays[r, 6] = span[1]
-                    rays[r, 7] = wp.min(far, end)
-                    rays[r, 8] = wp.ceil(wp.max(near, ray.reached) / options.step - 0.5)
+                    rays[r, 7] = wp.min(near_far[1], end)
+                    rays[r, 8] = first_sample(wp.max(near_far[0], ray.reached) / options.step)
     values = march_tile(edit, grid, table, cells, start, rays, values, options, PENDING_WEIGHT)
     for r in range(TILE_SIZE):
         column, row = tile_pixel(tile * TILE_SIZE + r, camera.width)

@@ -8,6 +8,7 @@ from ..core.gradients import forward_only_in
 from ..edits.structs import CELL_STEEP, CLEARED, CUT_LENGTH, MAPPED, ExactEdit, lattice_lower, lattice_upper
 from ..edits.trace import CanonicalPoint, canonical_direction, canonical_point, canonical_step, has_inverted_cells
 from ..field.grid import (
+    SAMPLE_PLACE,
     VoxelGrid,
     cell_color,
     cell_density,
@@ -17,9 +18,10 @@ from ..field.grid import (
     grid_position,
     grid_span,
     sample_index_after,
+    steps_to_sample,
 )
 from ..field.harmonics import sh_basis
-from ..view.rays import box_span
+from ..view.rays import box_span, joined_span
 from .rays import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions, forward_only_radiance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -94,19 +96,11 @@ def empty_until(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3
 @wp.func
 def scene_span(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
     """Distances (near, far) between which a ray can meet anything: the grid and the boxes of all edits."""
-    near = float(1.0e30)
-    far = float(-1.0)
     span = grid_span(grid, origin, direction)
-    if span[0] < span[1]:
-        near = span[0]
-        far = span[1]
     for e in range(edits.shape[0]):
         edit = edits[e]
-        span = box_span(origin, direction, lattice_lower(edit), lattice_upper(edit))
-        if span[0] < span[1]:
-            near = wp.min(near, span[0])
-            far = wp.max(far, span[1])
-    return forward_only(wp.vec2(near, far), origin)
+        span = joined_span(span, box_span(origin, direction, lattice_lower(edit), lattice_upper(edit)))
+    return forward_only(span, origin)
 
 
 @wp.func
@@ -120,8 +114,8 @@ def march_deformed(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.v
     k = sample_index_after(span[0], step)
     ahead = CanonicalPoint()
     ahead_index = int(-1)  # the sample that `ahead` belongs to
-    while (float(k) + 0.5) * step < span[1] and seen.transmittance > options.stop:
-        t = (float(k) + 0.5) * step
+    while steps_to_sample(float(k)) * step < span[1] and seen.transmittance > options.stop:
+        t = steps_to_sample(float(k)) * step
         leave = empty_until(edits, grid, origin, direction, t)
         if leave > t:
             k = wp.max(k + 1, sample_index_after(leave, step))
@@ -143,7 +137,7 @@ def march_deformed(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.v
                 count = wp.min(int(wp.ceil(arc / step - 1.0e-3)), MAX_SUB_SAMPLES)
         share = 1.0 / float(count)
         for j in range(count):
-            t_sub = t + ((float(j) + 0.5) * share - 0.5) * step
+            t_sub = t + (steps_to_sample(float(j)) * share - SAMPLE_PLACE) * step
             x_sub = origin + t_sub * direction
             point = here
             if count > 1:

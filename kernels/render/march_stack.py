@@ -26,19 +26,22 @@ from ..edits.structs import (
 )
 from ..field.densities import row_density
 from ..field.grid import (
+    SAMPLE_PLACE,
     VoxelGrid,
+    cell_below,
     empty_distance,
     exit_of_cell,
     grid_position,
     grid_span,
     safe_inverse,
     sample_index_after,
+    steps_to_sample,
 )
 from ..field.harmonics import sh_basis
 from ..field.march import PENDING_WEIGHT, pending_color
 from ..field.rows import RowTable, row_color
 from ..lattice.cage_map import side_position
-from ..view.rays import box_span
+from ..view.rays import box_span, joined_span
 from .rays import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions, forward_only_radiance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -60,9 +63,7 @@ def lattice_place(edit: EditData, x: wp.vec3):
     """Where a point is."""
     result = LatticePlace()
     g = (x - edit.lower) * edit.inverse_spacing
-    i = int(wp.floor(g[0]))
-    j = int(wp.floor(g[1]))
-    k = int(wp.floor(g[2]))
+    i, j, k = cell_below(g)
     result.cell = -1
     if i >= 0 and j >= 0 and k >= 0:
         if i < edit.node_counts[0] - 1 and j < edit.node_counts[1] - 1 and k < edit.node_counts[2] - 1:
@@ -266,18 +267,10 @@ def make_spans(is_simple: bool) -> Any:
     @wp.func
     def scene_span(edits: wp.array(dtype=EditData), grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
         """Distances (near, far) between which a ray can meet anything: the grid and the boxes of all edits."""
-        near = float(1.0e30)
-        far = float(-1.0)
         span = grid_span(grid, origin, direction)
-        if span[0] < span[1]:
-            near = span[0]
-            far = span[1]
         for e in range(edits.shape[0]):
-            span = posed_span(edits[e], origin, direction)
-            if span[0] < span[1]:
-                near = wp.min(near, span[0])
-                far = wp.max(far, span[1])
-        return forward_only(wp.vec2(near, far), origin)
+            span = joined_span(span, posed_span(edits[e], origin, direction))
+        return forward_only(span, origin)
 
     @wp.func
     def ray_part(edits: wp.array(dtype=EditData), origin: wp.vec3, direction: wp.vec3, t: float):
@@ -337,7 +330,7 @@ def make_stack_march(is_simple: bool) -> Any:
         k = sample_index_after(span[0], step)
         count = int(0)  # sub-samples of sample k; 0: not known, so one
         j = int(0)
-        t = (float(k) + 0.5) * step
+        t = steps_to_sample(float(k)) * step
         pending = float(0.0)  # weight of samples whose colour is not looked up yet
         while t < span[1] and seen.transmittance > options.stop:
             if t >= part.end:
@@ -367,14 +360,12 @@ def make_stack_march(is_simple: bool) -> Any:
                 k = wp.max(k + 1, sample_index_after(leave, step))
                 count = int(0)
                 j = int(0)
-                t = (float(k) + 0.5) * step
+                t = steps_to_sample(float(k)) * step
                 continue
             point = trace_stack(edits, part.candidates, x)
             # each function of the map stands once in this loop: registers are short
             g = grid_position(grid, point.position)
-            gi = int(wp.floor(g[0]))
-            gj = int(wp.floor(g[1]))
-            gk = int(wp.floor(g[2]))
+            gi, gj, gk = cell_below(g)
             offset = g - wp.vec3(float(gi), float(gj), float(gk))
             empty = int(1)
             sigma = float(0.0)
@@ -393,7 +384,7 @@ def make_stack_march(is_simple: bool) -> Any:
                 count = int(1)
                 if stretch > CUT_LENGTH:
                     count = wp.clamp(int(wp.ceil(stretch - 1.0e-3)), 1, MAX_SUB_SAMPLES)
-                    t = (float(k) + 0.5 / float(count)) * step
+                    t = (float(k) + SAMPLE_PLACE / float(count)) * step
                     continue
             parts = wp.max(count, 1)
             next_index = k + 1
@@ -431,7 +422,7 @@ def make_stack_march(is_simple: bool) -> Any:
                 count = int(0)
                 j = int(0)
             parts = wp.max(count, 1)
-            t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
+            t = (steps_to_sample(float(k)) + (steps_to_sample(float(j)) / float(parts) - SAMPLE_PLACE)) * step
         seen.color += pending_color(seen.color, seen.transmittance, pending)
         return forward_only_radiance(seen, origin)
 

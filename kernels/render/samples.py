@@ -6,6 +6,7 @@
 import warp as wp
 
 from ..edits.structs import CLEARED, MAPPED
+from ..field.grid import steps_to_sample
 from ..field.march import visible_depth
 from ..view.rays import PinholeCamera, box_span, pixel_direction
 
@@ -42,7 +43,7 @@ def place_samples(
     points: wp.array(dtype=wp.vec3),
     directions: wp.array(dtype=wp.vec3),
 ):
-    """Middles of the steps of rays from number `ray` on, and their directions. ends (rays,): of the samples of each
+    """Samples of rays from number `ray` on, and their directions. ends (rays,): of the samples of each
     ray; `origin` is added to what is relative to that of the camera."""
     n = first + wp.tid()
     pixel = ray + n
@@ -51,7 +52,7 @@ def place_samples(
     if n > 0:
         begin = ends[n - 1]
     for k in range(begin, ends[n]):
-        t = begins[pixel] + (float(k - begin) + 0.5) * step
+        t = begins[pixel] + steps_to_sample(float(k - begin)) * step
         points[k] = camera.center + t * direction + origin
         directions[k] = direction
 
@@ -127,7 +128,7 @@ def composite_samples(
         kept = wp.exp(-density[k] * step)
         weight = light * (1.0 - kept)
         color += weight * colors[k]
-        far += weight * (begins[pixel] + (float(k - begin) + 0.5) * step)
+        far += weight * (begins[pixel] + steps_to_sample(float(k - begin)) * step)
         light *= kept
     rgb[pixel] = color + light * background
     alpha[pixel] = 1.0 - light

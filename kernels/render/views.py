@@ -63,26 +63,6 @@ def view_kernel(shaded: bool, has_sides: bool) -> Any:
     table_type = ShadedVolume if shaded else RowTable
     march = make_edit_march(has_sides)
 
-    @wp.func
-    def march_pixel(
-        item: int,
-        grid: VoxelGrid,
-        table: table_type,
-        edit: EditData,
-        camera: PinholeCamera,
-        background: wp.vec3,
-        options: MarchOptions,
-        picture: Picture,
-    ):
-        begin = clock_ticks()
-        place = ordered_item(picture.order, item)
-        column, row = tile_pixel(place, camera.width)
-        if column < camera.width and row < camera.height:
-            direction = pixel_direction(camera, column, row)
-            ray = march(edit, grid, table, camera.center, direction, options, ray_start(), RAY_END)
-            fill_pixel(picture, row * camera.width + column, finished(ray), background)
-            note_ticks(picture.order, place, begin)
-
     @wp.kernel(**declaration(view_name(shaded, has_sides)))
     def render(
         first: int,
@@ -95,7 +75,14 @@ def view_kernel(shaded: bool, has_sides: bool) -> Any:
         picture: Picture,
     ):
         """One thread per pixel, tile by tile in the picture's order."""
-        march_pixel(first + wp.tid(), grid, table, edit, camera, background, options, picture)
+        begin = clock_ticks()
+        place = ordered_item(picture.order, first + wp.tid())
+        column, row = tile_pixel(place, camera.width)
+        if column < camera.width and row < camera.height:
+            direction = pixel_direction(camera, column, row)
+            ray = march(edit, grid, table, camera.center, direction, options, ray_start(), RAY_END)
+            fill_pixel(picture, row * camera.width + column, finished(ray), background)
+            note_ticks(picture.order, place, begin)
 
     return render
 
@@ -106,9 +93,9 @@ def part_kernel(shaded: bool, has_sides: bool) -> Any:
     table_type = ShadedVolume if shaded else RowTable
     march = make_edit_march(has_sides)
 
-    @wp.func
-    def march_part_pixel(
-        item: int,
+    @wp.kernel(**declaration(view_name(shaded, has_sides, part=True)))
+    def render(
+        first: int,
         grid: VoxelGrid,
         table: table_type,
         edit: EditData,
@@ -118,8 +105,9 @@ def part_kernel(shaded: bool, has_sides: bool) -> Any:
         options: MarchOptions,
         picture: Picture,
     ):
+        """One thread per pixel, tile by tile; a launch for each edit, front to back, of which the last fills pixels."""
         begin = clock_ticks()
-        place = ordered_item(picture.order, item)
+        place = ordered_item(picture.order, first + wp.tid())
         column, row = tile_pixel(place, camera.width)
         if column < camera.width and row < camera.height:
             pixel = row * camera.width + column
@@ -136,21 +124,6 @@ def part_kernel(shaded: bool, has_sides: bool) -> Any:
             elif part.is_first == 1:
                 store_ray(part, pixel, ray_start())
             note_ticks(picture.order, place, begin)
-
-    @wp.kernel(**declaration(view_name(shaded, has_sides, part=True)))
-    def render(
-        first: int,
-        grid: VoxelGrid,
-        table: table_type,
-        edit: EditData,
-        part: ScenePart,
-        camera: PinholeCamera,
-        background: wp.vec3,
-        options: MarchOptions,
-        picture: Picture,
-    ):
-        """One thread per pixel, tile by tile; a launch for each edit, front to back, of which the last fills pixels."""
-        march_part_pixel(first + wp.tid(), grid, table, edit, part, camera, background, options, picture)
 
     return render
 

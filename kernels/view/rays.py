@@ -70,3 +70,13 @@ def box_span(origin: wp.vec3, direction: wp.vec3, lower: wp.vec3, upper: wp.vec3
     if near >= far:  # almost along the box's sides both are too large to count steps by
         return wp.vec2(0.0, -1.0)
     return wp.vec2(near, far)
+
+
+@wp.func
+def joined_span(a: wp.vec2, b: wp.vec2):
+    """Distances (near, far) that hold two spans of a ray; a span whose far is not beyond its near is none."""
+    meets_a = a[0] < a[1]
+    meets_b = b[0] < b[1]
+    near = wp.min(wp.where(meets_a, a[0], 1.0e30), wp.where(meets_b, b[0], 1.0e30))
+    far = wp.max(wp.where(meets_a, a[1], -1.0), wp.where(meets_b, b[1], -1.0))
+    return wp.vec2(near, far)

@@ -10,6 +10,9 @@ import pytest
 
 from warpcage.field import LayeredBackground, OuterField, surface_node_count
 
+#: Where in its step a sample is, as a share of the step.
+SAMPLE_PLACE = 0.5
+
 #: Harmonics of red, green and blue, and of luminance with differences of colour.
 both_kinds = pytest.mark.parametrize("numbers", [(9, 3), (24,)], ids=["rgb", "luminance"])
 
@@ -122,8 +125,8 @@ def sample(field, density, sh, points, directions):
 
 
 def render_ray(field, density, sh, origin, direction, step, background, length=20.0):
-    """(rgb, alpha, depth) of one ray by brute force: every sample t_k = (k + 1/2) step up to `length`."""
-    t = (np.arange(int(length / step)) + 0.5) * step
+    """(rgb, alpha, depth) of one ray by brute force: every sample t_k = (k + SAMPLE_PLACE) step up to `length`."""
+    t = (np.arange(int(length / step)) + SAMPLE_PLACE) * step
     points = origin + t[:, None] * direction
     color, sigma = sample(field, density, sh, points, np.broadcast_to(direction, points.shape))
     alpha = 1 - np.exp(-sigma * step)
@@ -306,7 +309,7 @@ def march_outer(outer, values, origin, direction, begin=0.0, end=1e30, samples_p
         count = int(np.ceil(length * side / 4 * samples_per_voxel))
         if not count:
             continue
-        places = start + (np.arange(count) + 0.5)[:, None] / count * (stop - start)
+        places = start + (np.arange(count) + SAMPLE_PLACE)[:, None] / count * (stop - start)
         found = interpolate_outer(links, values, places)
         kept = np.exp(-np.maximum(found[:, 3], 0.0) * length / count)
         lights = light * np.concatenate([[1], np.cumprod(kept)])

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from field_oracles import surface_points
+from field_oracles import SAMPLE_PLACE, surface_points
 
 from warpcage import Cage, Camera, VoxelField
 from warpcage.core import recorded_launches
@@ -126,7 +126,7 @@ def march_in_numpy(field, deformer, camera, with_directions=True):
     step = field.step
     middle, half = field.center, 0.5 * np.ptp(field.bounds, axis=0)
     far = np.linalg.norm(camera.center - middle) + 1.5 * np.linalg.norm(half)
-    times = (np.arange(int(far / step)) + 0.5) * step
+    times = (np.arange(int(far / step)) + SAMPLE_PLACE) * step
     color, light = np.zeros((len(origins), 3)), np.ones(len(origins))
     for t in times:
         x = origins + t * directions

@@ -5,7 +5,7 @@
 // cache. A color reads eight rows of some hundred bytes, which few caches hold: a sample asks for them, the march goes
 // on, and they are added up when the queue is full. The colors of a ray are added in the order of its samples.
 //
-// Takes `grid`, `table`, MatterCells `cells`, `turns`, which says whether each sample has a direction `along`, and
+// Takes `sample_place`, `grid`, `table`, MatterCells `cells`, `turns`, which says whether each sample has a direction `along`, and
 // `bases`: of each ray that does not turn, the basis between zeros, from its eighth number on.
 
 typedef float two __attribute__((ext_vector_type(2)));
@@ -19,8 +19,16 @@ for (int lane = 0; lane < lane_count; ++lane)
     lane_bits[lane] = 1 << lane;
 auto bits_of = [&](ints mask) { return (unsigned)__builtin_reduce_or(mask & lane_bits); };
 auto reciprocal = [](float rate) { return __builtin_fabsf(rate) > 1.0e-12f ? 1.0f / rate : 1.0e30f; };
+// as in field/grid
+auto steps_to_sample = [](auto k) { return k + sample_place; };
+auto first_sample = [](lanes steps) { return __builtin_elementwise_ceil(steps - sample_place); };
 auto lower_of = [](lanes a, lanes b) { return a < b ? a : b; };
 auto higher_of = [](lanes a, lanes b) { return a > b ? a : b; };
+auto cell_of = [](lanes place, int top) {
+    ints cell = __builtin_convertvector(place, ints);
+    cell = cell < 0 ? (ints)0 : cell;
+    return cell > top ? (ints)top : cell;
+};
 // of x <= 0, to 2 units in the last place (Cephes: 2^n times a polynomial of what is left)
 auto exponential = [&](lanes x) {
     #pragma clang fp contract(fast)

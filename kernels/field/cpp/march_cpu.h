@@ -13,7 +13,7 @@ int next = 0;
 auto begin_ray = [&](int lane) {
     for (; next < 32; ++next)
     {
-        const float begin = (firsts.c[next] + 0.5f) * step;
+        const float begin = steps_to_sample(firsts.c[next]) * step;
         if (!(begin < ends.c[next]))
             continue;
         const float x = directions.data[next][0], y = directions.data[next][1], z = directions.data[next][2];
@@ -64,12 +64,7 @@ while (live)
         }
     }
     const lanes g_x = start.c[0] + t * slope_x, g_y = start.c[1] + t * slope_y, g_z = start.c[2] + t * slope_z;
-    auto cell_of = [](lanes g, int count) {
-        ints cell = __builtin_convertvector(g, ints);
-        cell = cell < 0 ? (ints)0 : cell;
-        return cell > count - 1 ? (ints)(count - 1) : cell;
-    };
-    const ints i = cell_of(g_x, cells_x), j = cell_of(g_y, cells_y), l = cell_of(g_z, cells_z);
+    const ints i = cell_of(g_x, cells_x - 1), j = cell_of(g_y, cells_y - 1), l = cell_of(g_z, cells_z - 1);
     const lanes x = g_x - __builtin_convertvector(i, lanes), y = g_y - __builtin_convertvector(j, lanes);
     const lanes z = g_z - __builtin_convertvector(l, lanes);
     const ints at = (i * cells_y + j) * cells_z + l;
@@ -97,10 +92,10 @@ while (live)
     }
     const lanes reach = __builtin_convertvector(empty, lanes);
     const lanes leave = t + exit_of_cells(x, y, z, inverse_x, inverse_y, inverse_z, reach);
-    const lanes after = __builtin_elementwise_ceil(leave * inverse_step - 0.5f);
+    const lanes after = first_sample(leave * inverse_step);
     k += 1.0f;
     k = ((empty > 0) & (after > k)) ? after : k;
-    t = (k + 0.5f) * step;
+    t = steps_to_sample(k) * step;
 }
 ask_for_colors();
 add_colors();

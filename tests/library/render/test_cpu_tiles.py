@@ -85,7 +85,7 @@ def test_rays_whose_first_sample_is_on_a_face_of_the_grid():
     face, step = np.array([field.bounds[1, 0] - 1 / 32, 0.5, 0.5]), 1 / 32
     along = np.array([0.8, 0.4, 0.45]) / np.linalg.norm([0.8, 0.4, 0.45])
     for k in range(40):
-        eye = face + (k + 0.5) * step * along
+        eye = face + (k + oracle.SAMPLE_PLACE) * step * along
         camera = Camera.look_at(eye, face - along, width=1, height=1, fov_degrees=20)
         assert deformer.render(camera, step=step).alpha[0, 0] > 0.99
 
