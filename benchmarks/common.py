@@ -67,7 +67,6 @@ def fit_options(pairs: list[str]) -> dict:
 
 def quiet_device(name: str | None):
     """The Warp device of a name, without Warp's reports."""
-
     from warpcage.core import resolve_device
 
     return resolve_device(name)
@@ -110,11 +109,11 @@ def median_seconds(action, device, *, runs: int = 20, warm: int = 2) -> float:
     return statistics.median(seconds_by_turns([action], device, runs=runs, warm=warm)[0])
 
 
-def launch_times(action, cuda_filter: int | None = None) -> list[tuple[str, float]]:
+def launch_times(action) -> list[tuple[str, float]]:
     """Names and milliseconds of what action() launches on CUDA, in order."""
     import warp as wp
 
-    wp.timing_begin(cuda_filter=wp.TIMING_ALL if cuda_filter is None else cuda_filter)
+    wp.timing_begin(cuda_filter=wp.TIMING_ALL)
     action()
     return [(result.name, result.elapsed) for result in wp.timing_end()]
 
@@ -181,7 +180,9 @@ def command_line() -> str:
 
 
 def write_results(path, device, **content) -> None:
-    """Write {command, machine, **content} to a JSON file; its folder is made, floats keep five digits."""
+    """Write {command, machine, **content} to a JSON file, if there is one to write; floats keep five digits."""
+    if path is None:
+        return
     path = pathlib.Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps(_rounded({"command": command_line(), "machine": machine(device), **content}), indent=1)
@@ -228,24 +229,16 @@ def ball_field(device):
     return warpcage.VoxelField.from_dense(density, sh, [[-1, -1, -1], [1, 1, 1]], device=device)
 
 
-def turntable_view(field, width: int, height: int, *, distance: float = 4.03, start_degrees: float = 30.0):
+def turntable_view(field, width: int, height: int, *, distance: float = 4.03):
     """The view of a field that its frames are timed in; wider pictures show more beside it."""
     import dataclasses
 
     import warpcage
 
     camera = warpcage.turntable(
-        field.center, distance, 30, 1, fov_degrees=39.6, width=height, height=height, start_degrees=start_degrees
+        field.center, distance, 30, 1, fov_degrees=39.6, width=height, height=height, start_degrees=30
     )[0]
     return dataclasses.replace(camera, width=width, cx=camera.cx + 0.5 * (width - height))
-
-
-def eye_beside(cage):
-    """A place beside a cage from which a camera sees it whole, and the cage's middle."""
-    import numpy as np
-
-    center, size = cage.bounds.mean(axis=0), float(np.ptp(cage.bounds, axis=0).max())
-    return center + size * np.array([1.6, -1.2, 0.9]), center
 
 
 def write_twists(folder: pathlib.Path, name: str, cage, count: int) -> None:

@@ -20,7 +20,6 @@ import trimesh
 import warp as wp
 from common import ball_field
 from ground_truth import CarriedMesh, InverseMap, synthetic_scene
-from ground_truth.sample_count import count_samples
 from machine_code import kernel_modules
 
 import warpcage
@@ -33,7 +32,7 @@ from warpcage.lattice import HarmonicSolver, PoseGraph
 from warpcage.mesh import prepared_fans
 from warpcage.splats import SplatDensity
 from warpcage.studio.editor import frame_pixels
-from warpcage.view import RGB_BYTES, camera_array
+from warpcage.view import RGB_BYTES
 
 #: Kernels that only one kind of device launches.
 CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",
@@ -115,9 +114,6 @@ def fields(device) -> None:
         field.sample(points, np.ones((64, 3)))
     harmonics_on_device(np.zeros((5, 24), np.float16), wp.get_device(device))
     CAGE.contains(2.2 * POINTS, device=device)  # in it, at it and beside it
-    cameras = camera_array([camera()], field.center, field.device)
-    counts = [wp.empty(256, dtype=wp.int32, device=device) for _ in range(2)]
-    launch(count_samples, 256, [field.grid, cameras, 1, field.step, 1e-4], counts, device=device)
     CAGE.check(field=field)
     for method in ("voxel", "shell") if field.device.is_cpu else ():  # cages are made on the CPU on any machine
         warpcage.Cage.from_field(field, 40, method=method)

@@ -9,7 +9,7 @@ status is 1 if one of them fails. Quick ones go over the cores of a machine: fir
 others, then pages of their results; --all adds those that take longer, as they run at night. The full ones go over the
 GPUs of a machine, one process a GPU at a time, the most important first; what would not end within --seconds is left
 out and named. Left out of --quick are `blender`, which needs Blender, `editor pictures`, which makes pictures of docs,
-`pages select`, which needs the fox's pictures, and `fits profile`, whose figures mean nothing at a small size.
+and `select`, which needs the fox's pictures.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ from common import BENCHMARKS, HERE
 QUICK = {
     "prepare": "truth prepare {out}",
     "compile": "compile.py --device cpu --warm-runs 1 --json {out}/compile.json",
-    "batch_gpus": "batch gpus {of} --scene {scene} --frames 12 --size 48 --fits 2 --downscale 8 --workers 1 2"
-    " --what png fits --device cpu --json {out}/batch_gpus.json",
+    "batch_kills": "batch kills --kills 1 --items 40 --json {out}/kills.json",
     "truth": "truth fields --quick --poses bend --json {out}/ground_truth.json --figures {out}",
-    "batch_scale": "batch-scale --items 5_000 --workers 50 --frames 20 --messages 2000"
-    " --json {out}/batch_scale.json --page {out}/batch_scale.md",
+    "batch_scale": "batch-scale --items 5_000 --workers 50 --frames 20 --messages 2000 --json {out}/batch_scale.json",
     "table1": "frames table1 --quick --json {out}/table1.json --figure {out}/table1.jpg",
     "splats_truth": "splats-truth --quick --json {out}/splats_truth.json --figures {out}",
     "frames": "frames times {of} --device cpu --size 48 --resolution 24 --runs 1 --json {out}/frames.json",
     "every_kernel": "every_kernel.py --device cpu",
     "same_bits": "same-bits {tree} --only pose mesh",
-    "convergence": "coordinates convergence --device cpu --resolution 12 16 --points 30 --cuts 2 3"
-    " --json {out}/convergence.json",
+    "coverage": "truth coverage --device cpu --size 40 --test-views 1 --edge 0.4 --json {out}/coverage.json",
     "captures": "captures --video --device cpu --width 192 --degrees 100 --video-frames 16 --frames 10"
     " --json {out}/captures.json",
     "coordinates": "coordinates times --device cpu --resolution 16 24 --runs 1 --points 20000"
     " --json {out}/coordinates.json",
-    "fits_curve": "fits curve --data {scene} --device cpu --points 1 --option epochs=1.0 resolution=48"
-    " --json {out}/fit_curve.json",
+    "cages_generated": "cages generated --scenes thin --counts 42 --resolution 24",
+    "cages_random_poses": "cages random-poses {of} --count 2 --carried 1 --size 60 --sheet {out}/random.jpg"
+    " --json {out}/random_poses.json",
+    "lattice_by_size": "coordinates lattice-by-size {of} --sizes 40 --cells 12 --fine 24 --coordinates mean_value"
+    " --json {out}/lattice.json",
     "frames_many": "frames many --device cpu --cameras 4 --poses 2 --size 24 --resolution 16 --runs 1"
     " --json {out}/many.json",
     "editor": "editor drags {of} --device cpu --size 200 150 --seconds 2 --json {out}/editor.json",
@@ -61,21 +61,20 @@ QUICK = {
     " --json {out}/fits.json",
     "fits_made": "fits scenes --kind --made corner --views 7 --size 24 --option least_steps=9 --sheet {out}/made.jpg"
     " --json {out}/scenes.json",
-    "splat_fits": "splat-fits ours {scene} --device cpu --quality fast --option steps=30 most_splats=400 --out {out}/s",
-    "splat_fits_profile": "splat-fits profile {scene} --device cpu --steps 40 --window 20 --out {out}/s",
+    "splat_fits": "splat-fits {scene} --device cpu --quality fast --option steps=30 most_splats=400 --out {out}/s",
     "splats": "splats views --device cpu --count 3000 --sizes 80 --json {out}/splats_times.json",
     "splats_poses": "splats poses --device cpu --kinds mean_value --count 2000 --rounds 2"
     " --json {out}/splat_poses.json",
     "by_turns": "by-turns --other {tree} {of} --size 40 --resolution 16 --runs 2 --most 9 --json {out}/trend.json",
     "soak": "memory soak --poses 20 --fits 4 --refused 200 --json {out}/soak.json",
-    "films": "memory films --frames 200 --timed 8 --size 320 180 --json {out}/film_memory.json",
-    "batch_handing_out": "batch handing-out --items 120 --turns 1 --megabytes 8 --json {out}/handing_out.json",
+    "films": "memory films --frames 200 --size 320 180 --json {out}/film_memory.json",
     "batch_memory": "memory batch --items 400 --json {out}/batch_memory.json",
     "page_splats_views": "pages splats-views --results {out} --page {out}/splats_views.md",
     "page_fits": "pages fits --results {out} --page {out}/fits.md",
     "page_fits_of_captures": "pages fits-of-captures --results {out} --page {out}/fits_of_captures.md",
     "page_frames": "pages frames --results {out} --page {out}/frames.md",
     "page_captures": "pages captures --results {out} --page {out}/captures.md",
+    "page_batch_scale": "pages batch-scale --results {out} --page {out}/batch_scale.md",
     "page_trends": "pages trends --results {out} --page {out}/trends.md",
     "page_files": "files {out} --device cpu --side 80 --out {out}/files.png",
     "page_results": "pages results --results {out} --page {out}/results.md",
@@ -83,8 +82,9 @@ QUICK = {
 
 #: Of these, those that --quick leaves to --all: what breaks them breaks a test or one of the others too.
 LONG = (
-    "compile batch_gpus truth batch_scale table1 splats_truth every_kernel same_bits convergence captures editor"
-    " by_turns splat_fits_profile batch_memory page_captures page_trends page_results"
+    "compile batch_kills truth batch_scale table1 splats_truth every_kernel same_bits coverage captures"
+    " cages_generated cages_random_poses lattice_by_size editor by_turns batch_memory page_batch_scale"
+    " page_captures page_trends page_results"
 ).split()
 
 
@@ -112,7 +112,7 @@ def main() -> int:
         runs = [run for run in runs if not args.only or run.name in args.only]
         if args.list:
             for run in runs:
-                print(f"{run.name:24} {run.seconds:6.0f} s, {run.gpus} GPU: {' '.join(run.command[1:])}")
+                print(f"{run.name:24} {run.seconds:6.0f} s: {' '.join(run.command[1:])}")
             return 0
         if not args.quick:
             return run_over_gpus(runs, args.gpus, args.seconds, out)
@@ -143,13 +143,11 @@ class Run:
         name: Of the run.
         command: Its arguments.
         seconds: After which it is ended. It is not begun where less time is left.
-        gpus: How many it sees. Those that see several run alone.
     """
 
     name: str
     command: list[str]
     seconds: float = float("inf")
-    gpus: int = 1
 
 
 def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path) -> list[Run]:
@@ -163,9 +161,9 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
     """
     runs: list[Run] = []
 
-    def add(name: str, command: str, seconds: float, *options, needs: tuple[pathlib.Path, ...] = (), gpus: int = 1):
+    def add(name: str, command: str, seconds: float, *options, needs: tuple[pathlib.Path, ...] = ()):
         if all(each.exists() for each in needs):
-            runs.append(Run(name, [*BENCHMARKS, *command.split(), *map(str, options)], seconds, gpus))
+            runs.append(Run(name, [*BENCHMARKS, *command.split(), *map(str, options)], seconds))
 
     def fits(name: str, seconds: float, *options: object, needs: tuple[pathlib.Path, ...] = ()):
         common = ("--device", "cuda:0", "--warm", "--json", out / f"fits_{name}.json", "--worst", out / f"worst_{name}")
@@ -197,7 +195,7 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
     if lego.exists() and cage is not None:
         arguments = ["-m", "warpcage", "fit", str(lego), "-o", str(field), "--device", "cuda:0", "--quiet"]
         made = " ".join([sys.executable, *arguments])
-        frames = f"{' '.join(BENCHMARKS)} frames times --field {field} --cage {cage} --profile"
+        frames = f"{' '.join(BENCHMARKS)} frames times --field {field} --cage {cage}"
         wide = f"{frames} --size 1920 1080 --json {out / 'frames_1080p.json'}"
         runs.append(Run("frames", ["bash", "-c", f"{made} && {frames} --json {out / 'frames.json'} && {wide}"], 180))
     fits(
@@ -209,14 +207,8 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
     edit = [sys.executable, str(HERE.parent / "examples" / "edit_fox.py"), "--data", str(fox), "--no-video"]
     if fox.exists():
         runs.append(Run("edit_fox", [*edit, "--out", str(out / "fox"), "--device", "cuda:0"], 180))
-    # two GPUs
-    if lego.exists() and cage is not None:  # of the field that "frames" made
-        arguments = ("--field", field, "--cage", cage, "--scene", lego, "--json", out / "batch_gpus.json")
-        add("batch_gpus", "batch gpus", 420, *arguments, gpus=2)
-    # the rest
     for name, command, seconds in (
         ("coordinates", "coordinates times", 120),
-        ("convergence", "coordinates convergence", 120),
         ("ground_truth", "truth fields", 200),
         ("soak", "memory soak", 200),
     ):
@@ -233,7 +225,7 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
 
 
 def run_over_gpus(runs: list[Run], gpus: Sequence[str | None], seconds: float, out: pathlib.Path) -> int:
-    """Run them, one a GPU at a time; those that need several GPUs after the others.
+    """Run them, one a GPU at a time.
 
     Args:
         runs: In the order in which they are begun.
@@ -245,7 +237,7 @@ def run_over_gpus(runs: list[Run], gpus: Sequence[str | None], seconds: float, o
         0, or 1 where a run failed. Those that there was no time for did not fail.
     """
     begin, lock = time.monotonic(), threading.Lock()
-    waiting = [run for run in runs if run.gpus <= 1]
+    waiting = list(runs)
     failed: list[str] = []
 
     def left() -> float:
@@ -260,7 +252,7 @@ def run_over_gpus(runs: list[Run], gpus: Sequence[str | None], seconds: float, o
 
     def work(gpu: str | None) -> None:
         while (run := next_run()) is not None:
-            if not _run(run, [] if gpu is None else [gpu], out):
+            if not _run(run, gpu, out):
                 failed.append(run.name)
 
     threads = [threading.Thread(target=work, args=(gpu,)) for gpu in gpus]
@@ -268,21 +260,15 @@ def run_over_gpus(runs: list[Run], gpus: Sequence[str | None], seconds: float, o
         thread.start()
     for thread in threads:
         thread.join()
-    for run in runs:
-        if run.gpus > 1:
-            if run.gpus > len(gpus) or run.seconds > left():
-                waiting.append(run)
-            elif not _run(run, list(gpus[: run.gpus]), out):
-                failed.append(run.name)
     for run in waiting:
-        print(f"{run.name:16} left out: no time, or too few GPUs", flush=True)
+        print(f"{run.name:16} left out: no time", flush=True)
     print(f"{len(failed)} failed, {time.monotonic() - begin:.1f} s in all")
     return 1 if failed else 0
 
 
-def _run(run: Run, gpus: list[str], out: pathlib.Path) -> bool:
+def _run(run: Run, gpu: str | None, out: pathlib.Path) -> bool:
     """Run one; whether its exit status is 0. What it started ends with it."""
-    environment = {**os.environ, "CUDA_VISIBLE_DEVICES": ",".join(gpus)} if gpus else None
+    environment = None if gpu is None else {**os.environ, "CUDA_VISIBLE_DEVICES": gpu}
     start, path = time.monotonic(), out / f"{run.name}.txt"
     if shutil.which(run.command[0]) is None:
         print(f"{run.name:16} FAILED (there is no {run.command[0]})", flush=True)

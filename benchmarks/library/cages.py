@@ -171,8 +171,7 @@ def random_poses(args) -> None:
         print(rows[-1], flush=True)
     if args.sheet:
         draw(args, next(iter(cages.values())))
-    if args.json:
-        write_results(args.json, None, count=args.count, seed=args.seed, stretch=args.stretch, rows=rows)
+    write_results(args.json, None, count=args.count, seed=args.seed, stretch=args.stretch, rows=rows)
 
 
 def usual_cages() -> dict:

@@ -56,8 +56,7 @@ def main(args) -> None:
         for number, scene in enumerate(args.folder):
             runs.append(folder_run(pathlib.Path(scene), pathlib.Path(folder) / str(number), args))
             print(runs[-1])
-    if args.json:
-        write_results(args.json, args.device, runs=runs)
+    write_results(args.json, args.device, runs=runs)
 
 
 def captured(source: pathlib.Path, output: pathlib.Path, **options) -> tuple[warpcage.CaptureReport, dict]:

@@ -1,9 +1,7 @@
-"""Fits: what they reach on scenes of several kinds, PSNR against seconds, kernels, and one fit over two GPUs."""
+"""Fits: what they reach on scenes of several kinds."""
 
 from __future__ import annotations
 
-import collections
-import contextlib
 import dataclasses
 import pathlib
 import time
@@ -12,25 +10,12 @@ import imageio.v3 as iio
 import numpy as np
 import trimesh
 import warp as wp
-from common import (
-    DEVICE,
-    FIT_OPTIONS,
-    JSON,
-    command,
-    fit_options,
-    launch_times,
-    option,
-    seconds_of,
-    write_jpeg,
-    write_results,
-)
+from common import DEVICE, FIT_OPTIONS, JSON, command, fit_options, option, seconds_of, write_jpeg, write_results
 from ground_truth import CASUAL, KINDS, casual_scene, room_views, synthetic_scene
-from ground_truth.sample_count import count_samples
 
 import warpcage
-from warpcage import FieldOptimizer, evaluate, mean_psnr
-from warpcage.core import launch, resolve_device
-from warpcage.field import STOP_TRANSMITTANCE
+from warpcage import evaluate, mean_psnr
+from warpcage.core import resolve_device
 from warpcage.fitting import tuned_scene
 from warpcage.view import contact_sheet, picture_similarity, pose_errors, shrink, side_by_side, write_png
 
@@ -41,8 +26,6 @@ TRAINING_VIEWS, WORST = 16, 3
 SHEET_PIXELS = 240
 
 QUALITIES = ("fast", "standard", "high")
-DATA = option("--data", required=True, help="scene folder with train and test splits")
-DOWNSCALE = option("--downscale", type=int, default=1, help="factor on the scene's pictures")
 
 
 # Scenes
@@ -311,223 +294,3 @@ def every_nth(scene, n: int):
     """Every n-th view of a scene, from the first."""
     parts = {name: getattr(scene, name) for name in ("images", "alphas", "surroundings", "cameras", "names")}
     return dataclasses.replace(scene, **{name: part if part is None else part[::n] for name, part in parts.items()})
-
-
-# The curve of a fit
-
-
-@command(
-    DATA,
-    DOWNSCALE,
-    DEVICE,
-    option("--points", type=int, default=6, help="points on the curve"),
-    option("--option", nargs="*", action="append", help="FitOptions as name=value; repeat for more runs"),
-    JSON,
-)
-def curve(args) -> None:
-    """PSNR on held-out views against seconds of fitting, and the work that the fit does per second.
-
-        python benchmarks fits curve --data ../shared/data/lego_800 --device cuda:0 --json curve.json
-        python benchmarks fits curve --data ../shared/data/lego_800 --downscale 8 --option footprint=0.7 epochs=16
-
-    The clock runs from the images in host memory to the finished field. Kernels are compiled beforehand; evaluations
-    and counts are left out. Samples are counted in separate passes, at each point of the curve and at both ends of a
-    level, over the training rays that see the object, and summed over the steps between: `marched` in cells that hold
-    values, `matter` those of them with density. A step takes them once for the color and again for the gradient; they
-    count once.
-
-    `peak_device_bytes` is the most that the arrays of the timed fit held at once, images included; each is counted when
-    it is made. The high-water mark of a memory pool cannot be reset, and would include the warm-up, earlier runs and
-    the renders between. A few MB of scratch that Warp takes for scans are left out.
-    """
-    wp.config.log_level = wp.LOG_WARNING
-    device = resolve_device(args.device)
-    scene = warpcage.load_scene(args.data, downscale=args.downscale)
-    test = warpcage.load_scene(args.data, split="test", downscale=args.downscale)
-    results = []
-    for run in args.option or [[]]:
-        options = fit_options(run)
-        print(options, flush=True)
-        results.append(curve_of(scene, test, device, args.points, options))
-        print({name: value for name, value in results[-1].items() if name != "curve"}, flush=True)
-        if args.json:
-            write_results(args.json, device, runs=results)
-
-
-def curve_of(scene, test, device, points: int, options: dict) -> dict:
-    warm_up = FieldOptimizer(scene, device=device, **{**options, "epochs": 1e-3})
-    while warm_up.step_count < warm_up.total_steps:
-        warm_up.step()
-    warm_up.finish()
-    del warm_up
-    with counted_allocations(device) as allocations:
-        return curve_of_fit(scene, test, device, points, options, allocations)
-
-
-def curve_of_fit(scene, test, device, points: int, options: dict, allocations: CountedAllocator) -> dict:
-    clock = Clock(device, allocations)
-    optimizer = FieldOptimizer(scene, device=device, **options)
-    setup = clock.pause()
-    curve = []
-    marks = set(np.linspace(0, optimizer.total_steps, points + 1)[1:].astype(int).tolist())
-    samples, counted_at = np.zeros(2), 0
-    here = samples_per_ray(optimizer)
-    clock.go_on()
-    while optimizer.step_count < optimizer.total_steps:
-        level = optimizer.level
-        optimizer.step()
-        count = optimizer.step_count
-        if optimizer.level != level:  # the level's first step is done
-            clock.pause()
-            here = samples_per_ray(optimizer)
-            clock.go_on()
-        if count in marks or optimizer.level_done:
-            seconds = clock.pause()
-            before, here = here, samples_per_ray(optimizer)
-            samples += 0.5 * (before + here) * (count - counted_at) * optimizer.batch_rays
-            counted_at = count
-            if count in marks:
-                curve.append(curve_point(optimizer, test, seconds, here))
-                print(curve[-1], flush=True)
-            clock.go_on()
-    field = optimizer.finish()
-    spent = clock.pause()
-    rows = evaluate(field, test)
-    camera = test.cameras[0]
-    times = [seconds_of(lambda: field.render(camera), device) for _ in range(8)]
-    return {
-        "options": options,
-        "seconds": round(spent, 3),
-        "setup_seconds": round(setup, 3),
-        "psnr": mean_psnr(rows),
-        "voxels": field.voxel_count,
-        "resolution": field.resolution,
-        "batch_rays": optimizer.batch_rays,
-        "rays_per_second": round(optimizer.total_steps * optimizer.batch_rays / spent),
-        "samples_marched_per_second": round(samples[0] / spent),
-        "samples_matter_per_second": round(samples[1] / spent),
-        "render_milliseconds": round(1e3 * float(np.median(times)), 3),
-        "peak_device_bytes": allocations.peak,
-        "image_bytes": optimizer.pictures.held_bytes,
-        "image_bits": optimizer.pictures.bits,
-        "curve": curve,
-    }
-
-
-def curve_point(optimizer, test, seconds: float, samples) -> dict:
-    return {
-        "seconds": round(seconds, 3),
-        "steps": optimizer.step_count,
-        "resolution": max(optimizer.field.resolution),
-        "voxels": optimizer.field.voxel_count,
-        "psnr": round(mean_psnr(evaluate(optimizer.field, test)), 3),
-        "marched_per_ray": round(float(samples[0]), 2),
-        "matter_per_ray": round(float(samples[1]), 2),
-    }
-
-
-def samples_per_ray(optimizer, *, wanted_rays: int = 1 << 20) -> np.ndarray:
-    """(2,) samples marched and samples with density, per ray of a batch on average."""
-    camera = optimizer.scene.cameras[0]
-    total = len(optimizer.scene) * camera.width * camera.height
-    stride = max(1, int((total / wanted_rays) ** 0.5))
-    count = len(optimizer.scene) * -(-camera.width // stride) * -(-camera.height // stride)
-    counts = [wp.empty(count, dtype=wp.int32, device=optimizer.device) for _ in range(2)]
-    field = optimizer.field
-    launch(
-        count_samples,
-        count,
-        [field.grid, optimizer.rays.cameras, stride, field.step, STOP_TRANSMITTANCE],
-        counts,
-        device=optimizer.device,
-    )
-    active = optimizer.active_tiles / optimizer.tile_total  # batches leave the other tiles out, which march nothing
-    return np.array([each.numpy().mean(dtype=np.float64) for each in counts]) / active
-
-
-class CountedAllocator:
-    """Wraps a device's allocator and counts what arrays hold from now on; `peak` grows while it is `watching`."""
-
-    def __init__(self, device):
-        self.inner = device.get_allocator()
-        self.memory_kind = self.inner.memory_kind
-        self.deallocate_requires_context_guard = self.inner.deallocate_requires_context_guard
-        self.sizes, self.held, self.peak, self.watching = {}, 0, 0, True
-
-    def allocate(self, size: int) -> int:
-        pointer = self.inner.allocate(size)
-        self.sizes[pointer] = size
-        self.held += size
-        if self.watching:
-            self.peak = max(self.peak, self.held)
-        return pointer
-
-    def deallocate(self, pointer: int, size: int) -> None:
-        self.held -= self.sizes.pop(pointer, 0)  # 0: made before the count began
-        self.inner.deallocate(pointer, size)
-
-
-@contextlib.contextmanager
-def counted_allocations(device):
-    """A CountedAllocator in place of a device's own."""
-    counted = CountedAllocator(device)
-    try:
-        if device.is_cuda:
-            wp.set_device_allocator(device, counted)
-        else:  # Warp has no call for this
-            device.default_allocator = counted
-        yield counted
-    finally:
-        if device.is_cuda:
-            wp.set_device_allocator(device, None)
-        else:
-            device.default_allocator = counted.inner
-
-
-class Clock:
-    """Seconds since it was made, without the pauses, and what allocations hold. The device is synchronised whenever
-    it is read."""
-
-    def __init__(self, device, allocations: CountedAllocator):
-        self.device, self.allocations, self.seconds = device, allocations, 0.0
-        self.go_on()
-
-    def pause(self) -> float:
-        wp.synchronize_device(self.device)
-        self.seconds += time.perf_counter() - self.begin
-        self.allocations.watching = False
-        return self.seconds
-
-    def go_on(self) -> None:
-        self.allocations.watching = True
-        self.begin = time.perf_counter()
-
-
-# Kernels of a fit
-
-
-@command(DATA, DOWNSCALE, option("--device", default="cuda:0"), FIT_OPTIONS)
-def profile(args) -> None:
-    """Where the device time of a fit goes, by kernel, at each level.
-
-    python benchmarks fits profile --data ../shared/data/lego_800 --device cuda:0
-    """
-    scene = warpcage.load_scene(args.data, downscale=args.downscale)
-    optimizer = FieldOptimizer(scene, device=args.device, **fit_options(args.option))
-    level = -1
-    while optimizer.step_count < optimizer.total_steps:
-        start = optimizer.step_count - sum(optimizer.level_steps[: optimizer.level])
-        middle = optimizer.level_steps[optimizer.level] // 2
-        if optimizer.level != level and start == middle:
-            level, count = optimizer.level, min(20, middle)
-            total = collections.Counter()
-            for name, milliseconds in launch_times(lambda count=count: [optimizer.step() for _ in range(count)]):
-                total[name] += milliseconds / count
-            print(
-                f"level {level}: {optimizer.field.resolution}, {optimizer.field.voxel_count} voxels, "
-                f"{optimizer.batch_rays} rays; ms a step"
-            )
-            for name, milliseconds in total.most_common(8):
-                print(f"  {milliseconds:9.3f}  {name}")
-        else:
-            optimizer.step()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import collections
 import tempfile
 
 import numpy as np
@@ -16,7 +15,6 @@ from common import (
     QUICK,
     ball_field,
     command,
-    launch_times,
     median_seconds,
     option,
     quiet_device,
@@ -49,8 +47,6 @@ WARM_FRAMES = 10
     option("--kinds", nargs="+", default=["harmonic", "mean_value", "green"]),
     option("--poses", type=int, default=40, help="random poses"),
     option("--seed", type=int, default=0, help="of the random poses"),
-    option("--profile", action="store_true", help="list the kernels of a pose and its frame"),
-    option("--bake", action="store_true", help="bake the pose too, and compare with the live frame"),
     JSON,
 )
 def times(args) -> None:
@@ -68,8 +64,6 @@ def times(args) -> None:
     A field with an outer field or background layers is rendered with them, and the rows of frames say what they add
     (around_milliseconds, compared with the same frame on black, by turns). --scene takes a held-out view of a scene,
     since such a field shows its surroundings.
-
-    --profile lists the kernels of a frame and of a pose (CUDA only); see NOTES-render.md for findings.
     """
     device = quiet_device(args.device)
     field = warpcage.VoxelField.load(args.field, device=device)
@@ -117,14 +111,6 @@ def times(args) -> None:
         if device.is_cuda:
             seconds = posing_loop(deformer, rest, camera, args)
             report("posing in a loop", seconds, kind=kind, frames_a_second=round(1 / seconds, 1))
-        if args.profile and device.is_cuda:
-            profile(lambda c=cycle: c.pose().render(camera))
-        if args.bake:
-            report("bake", median_seconds(lambda d=deformer: warpcage.bake(d), device, runs=1), kind=kind)
-            baked = warpcage.bake(deformer)
-            live = deformer.render(camera).rgb
-            print({"bake": repr(baked), "psnr": round(float(warpcage.psnr(baked.render(camera).rgb, live)), 2)})
-            report_frame("frame of the baked field", baked.render, kind=kind)
     slabs = three_slabs(rest)
     turned = [slab.rotate(12, axis="x") for slab in slabs]
     options = {"coordinates": "mean_value", "resolution": args.resolution}
@@ -133,23 +119,19 @@ def times(args) -> None:
     alone, together = frame_seconds(one.render, three.render)
     report("frame, one slab, lattices ready", alone, kind="mean_value")
     report("frame, three slabs, lattices ready", together, kind="mean_value", times_one=round(together / alone, 3))
-    if args.profile and device.is_cuda:
-        for several in (one, three):
-            profile(lambda several=several: several.render(camera))
     peak = wp.get_mempool_used_mem_high(device) if device.is_cuda else None
     print({"peak_device_bytes": peak})
-    if args.json:
-        write_results(
-            args.json,
-            device,
-            voxels=field.voxel_count,
-            cage_vertices=len(rest.vertices),
-            size=[camera.width, camera.height],
-            resolution=args.resolution,
-            around=field.background_model.summary if field.background_model else None,
-            peak_device_bytes=peak,
-            rows=rows,
-        )
+    write_results(
+        args.json,
+        device,
+        voxels=field.voxel_count,
+        cage_vertices=len(rest.vertices),
+        size=[camera.width, camera.height],
+        resolution=args.resolution,
+        around=field.background_model.summary if field.background_model else None,
+        peak_device_bytes=peak,
+        rows=rows,
+    )
 
 
 def random_poses(rest, count: int, seed: int) -> list:
@@ -201,17 +183,6 @@ def posing_loop(deformer, rest, camera, args, count: int = 60) -> float:
     for cage in cages[:3]:
         deformer.pose(cage).render(camera)
     return seconds_of(lambda: [deformer.pose(cage).render(camera) for cage in cages], deformer.device) / count
-
-
-def profile(action) -> None:
-    """Print the device time of each kernel of action()."""
-    action()
-    totals = collections.defaultdict(list)
-    kinds = wp.TIMING_KERNEL | wp.TIMING_MEMCPY | wp.TIMING_MEMSET | wp.TIMING_GRAPH
-    for name, milliseconds in launch_times(action, kinds):
-        totals[name].append(milliseconds)
-    for name, taken in sorted(totals.items(), key=lambda item: -sum(item[1])):
-        print(f"  {sum(taken):8.3f} ms {len(taken):4d} {name}")
 
 
 # Many views by one call
@@ -292,8 +263,7 @@ def many(args) -> None:
             seen = np.isfinite(frames.depth)
             rows[-1]["share_with_flow"] = float(np.isfinite(frames.flow[seen]).all(axis=-1).mean())
             print({"share_with_flow": round(rows[-1]["share_with_flow"], 4)})
-    if args.json:
-        write_results(args.json, device, voxels=field.voxel_count, size=args.size, kind=args.kind, rows=rows)
+    write_results(args.json, device, voxels=field.voxel_count, size=args.size, kind=args.kind, rows=rows)
 
 
 # Slabs
@@ -315,6 +285,12 @@ def three_slabs(rest):
 
 
 FINEST = 512
+
+#: Samples a ray, and of a quick run; degrees of the bend; distance of the camera, in longest sides of the field.
+SAMPLES, FEW_SAMPLES, SWING_BEND, DISTANCE = 512, 128, 40.0, 1.75
+
+#: Part of the picture that the figure shows: left, top, right, bottom, 0 to 1.
+CROP = (0.34, 0.32, 0.66, 0.64)
 
 #: Poses of a swing. A GPU runs through all of them before the clock starts, so that graphs have room for each.
 SWING = 9
@@ -345,18 +321,7 @@ AUTHORS_RENDER = 0.563
     option("--quality", default="fast", help="quality of the fit"),
     DEVICE,
     option("--size", type=int, default=800),
-    option("--samples", type=int, default=512),
     option("--resolution", type=int, nargs="*", default=[64, 128, 256]),
-    option("--bend", type=float, default=40.0),
-    option("--view", type=float, default=30.0, help="angle of the camera around the object, degrees"),
-    option("--distance", type=float, default=1.75, help="of the camera, in longest sides of the field"),
-    option(
-        "--crop",
-        type=float,
-        nargs=4,
-        default=[0.34, 0.32, 0.66, 0.64],
-        help="part of the picture that the figure shows: left, top, right, bottom, 0 to 1",
-    ),
     option("--runs", type=int, default=2 * SWING),
     JSON,
     option("--figure", help="JPEG file: rows are kinds, columns resolutions and the reference"),
@@ -377,23 +342,24 @@ def table1(args) -> None:
     --data the scene is the brick model; so it is with --quick, which is small and runs on the CPU.
     """
     if args.quick:
-        args.device, args.size, args.samples, args.runs, args.resolution = "cpu", 60, 128, 1, [16, 32]
+        args.device, args.size, args.runs, args.resolution = "cpu", 60, 1, [16, 32]
     device = quiet_device(args.device)
     if args.field:
         field, test_psnr, scene = warpcage.VoxelField.load(args.field, device=device), None, args.scene
     else:
         field, test_psnr, scene = prepared_field(args, device)
     rest = warpcage.Cage.load(args.cage) if args.cage else warpcage.Cage.from_field(field, vertex_count=42)
-    distance = args.distance * np.ptp(field.bounds, axis=0).max()
-    camera = turntable_view(field, args.size, args.size, distance=distance, start_degrees=args.view)
-    shown = rest.bend(args.bend, axis="y", towards="z").twist(15)
-    step = longest_way(field, rest, shown) / args.samples
+    distance = DISTANCE * np.ptp(field.bounds, axis=0).max()
+    camera = turntable_view(field, args.size, args.size, distance=distance)
+    shown = rest.bend(SWING_BEND, axis="y", towards="z").twist(15)
+    samples = FEW_SAMPLES if args.quick else SAMPLES
+    step = longest_way(field, rest, shown) / samples
     finest = FINEST if not args.quick else 2 * max(args.resolution)
     rows, pictures = [], {}
     for kind in KINDS:
         for resolution in [*args.resolution, finest if kind == "harmonic" else None]:
             deformer = warpcage.Deformer(field, rest, coordinates=kind, resolution=resolution)
-            swing = NewPoses(deformer, rest, camera, step, args.bend)
+            swing = NewPoses(deformer, rest, camera, step)
             seconds = median_seconds(swing, device, runs=args.runs, warm=SWING if device.is_cuda else 2)
             frame = deformer.pose(shown).render(camera, step=step)
             pictures[kind, resolution] = np.clip(frame.rgb, 0, 1)
@@ -413,24 +379,23 @@ def table1(args) -> None:
         psnr = float(warpcage.psnr(pictures[row["kind"], row["resolution"]], reference))
         row["psnr_to_reference"] = psnr if np.isfinite(psnr) else None
         print(row)
-    if args.json:
-        write_results(
-            args.json,
-            device,
-            scene=scene,
-            size=args.size,
-            samples=args.samples,
-            step=step,
-            cage_vertices=len(rest.vertices),
-            cage_faces=len(rest.faces),
-            voxels=field.voxel_count,
-            field_resolution=list(field.resolution),
-            field_psnr=test_psnr,
-            harmonic_reference=finest,
-            rows=rows,
-        )
+    write_results(
+        args.json,
+        device,
+        scene=scene,
+        size=args.size,
+        samples=samples,
+        step=step,
+        cage_vertices=len(rest.vertices),
+        cage_faces=len(rest.faces),
+        voxels=field.voxel_count,
+        field_resolution=list(field.resolution),
+        field_psnr=test_psnr,
+        harmonic_reference=finest,
+        rows=rows,
+    )
     if args.figure:
-        write_jpeg(args.figure, figure(pictures, args.resolution, args.crop))
+        write_jpeg(args.figure, figure(pictures, args.resolution))
 
 
 def prepared_field(args, device):
@@ -462,17 +427,17 @@ def authors_seconds(kind, resolution):
 class NewPoses:
     """Frames of a swinging bend. Each call poses a cage that was not posed before."""
 
-    def __init__(self, deformer, rest, camera, step, bend):
-        self.deformer, self.rest, self.camera, self.step, self.bend, self.turn = deformer, rest, camera, step, bend, 0
+    def __init__(self, deformer, rest, camera, step):
+        self.deformer, self.rest, self.camera, self.step, self.turn = deformer, rest, camera, step, 0
 
     def __call__(self):
         self.turn += 1
         share = 0.6 + 0.4 * np.cos(0.7 * self.turn)
-        posed = self.rest.bend(share * self.bend, axis="y", towards="z").twist(15)
+        posed = self.rest.bend(share * SWING_BEND, axis="y", towards="z").twist(15)
         self.deformer.pose(posed).render(self.camera, step=self.step)
 
 
-def figure(pictures, resolutions, crop) -> np.ndarray:
+def figure(pictures, resolutions) -> np.ndarray:
     """A crop of each picture; the last column is precise, or for harmonic coordinates the finest lattice."""
     from warpcage.view import contact_sheet
 
@@ -482,5 +447,6 @@ def figure(pictures, resolutions, crop) -> np.ndarray:
         for resolution in [*resolutions, last]:
             picture = pictures[kind, resolution]
             h, w = picture.shape[:2]
-            cells.append(picture[int(crop[1] * h) : int(crop[3] * h), int(crop[0] * w) : int(crop[2] * w)])
+            left, top, right, bottom = np.multiply(CROP, (w, h, w, h)).astype(int)
+            cells.append(picture[top:bottom, left:right])
     return contact_sheet(cells, columns=len(resolutions) + 1)

@@ -69,8 +69,7 @@ def views(args) -> None:
                 row |= {"antialias": antialias} | view_row(field, camera, antialias, peer, args.runs)
                 rows.append(row)
                 print(row, flush=True)
-                if args.json:
-                    write_results(args.json, device, rows=rows)
+                write_results(args.json, device, rows=rows)
 
 
 def scenes(args, device):
@@ -300,8 +299,7 @@ def poses(args) -> None:
     cage = warpcage.Cage.box((-1.2, -1.2, -1.2), (1.2, 1.2, 1.2), segments=4)
     print(f"{device.name}: {args.count} splats, cage of {len(cage.vertices)} vertices, {len(cage.faces)} faces")
     rows = [pose_row(field, cage, kind, args.rounds, whole) for kind in args.kinds for whole in (False, True)]
-    if args.json:
-        write_results(args.json, device, splats=args.count, cage_vertices=len(cage.vertices), poses=rows)
+    write_results(args.json, device, splats=args.count, cage_vertices=len(cage.vertices), poses=rows)
 
 
 def sphere_scene(count: int, device, large: float = 0.02) -> warpcage.SplatField:

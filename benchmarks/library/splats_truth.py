@@ -115,8 +115,9 @@ def main(args) -> None:
             path = pathlib.Path(args.figures) / f"splats_truth_{name.replace(', ', '_')}.jpg"
             write_jpeg(path, contact_sheet(pictures, columns=3), quality=85)
         print(f"{name}: {time.perf_counter() - begin:.1f} s", flush=True)
-        if args.json:  # after each scene, so that an interruption loses little
-            write_results(args.json, device, scenes=scenes, rows=rows, **sizes)
+        write_results(
+            args.json, device, scenes=scenes, rows=rows, **sizes
+        )  # after each scene, so that an interruption loses little
 
 
 class SplatScene:

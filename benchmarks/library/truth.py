@@ -241,8 +241,7 @@ def coverage(args) -> None:
             decibels = float(-10 * np.log10(posed / rest))
             rows.append({"scene": name, "pose": pose, "rest": rest, "posed": posed, "decibels": decibels})
             print(rows[-1], flush=True)
-    if args.json:
-        write_results(args.json, device, size=args.size, test_views=args.test_views, rows=rows)
+    write_results(args.json, device, size=args.size, test_views=args.test_views, rows=rows)
 
 
 def covered(views) -> float:

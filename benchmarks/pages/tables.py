@@ -1,10 +1,6 @@
-"""What pages are made of: texts, tables, and what results were measured by and on."""
+"""What pages are made of: tables, and what results were measured by and on."""
 
 from __future__ import annotations
-
-import pathlib
-import re
-import string
 
 NAMES = {"mean_value": "mean value", "harmonic": "harmonic", "green": "green"}
 POSES = ("rigid", "twist", "bend", "stretch", "local")
@@ -16,24 +12,12 @@ RENAMED = {
     "deformed_render": "frames times",
     "fit_scenes": "fits scenes",
     "ground_truth": "truth fields",
-    "select_page": "pages select",
+    "select_page": "select",
     "splat_poses": "splats poses",
     "splats": "splats views",
     "splats_truth": "splats-truth",
     "table1": "frames table1",
 }
-
-
-def texts(page: str) -> dict[str, str]:
-    """The pieces of a page's text by the names before them."""
-    text = pathlib.Path(__file__).with_name(f"{page}.md").read_text(encoding="utf-8")
-    pieces = re.split(r"<!-- (.*) -->\n", text)
-    return {name: piece.strip("\n") + "\n" for name, piece in zip(pieces[1::2], pieces[2::2], strict=True)}
-
-
-def filled(text: str, **values) -> str:
-    """A text with values for its $names."""
-    return string.Template(text).substitute(values)
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
@@ -54,6 +38,19 @@ def source(results: dict) -> str:
     )
 
 
+def with_sources(make):
+    """What a function makes of files, and the commands of the files below it."""
+    return lambda files: [*make(files), *map(source, files)]
+
+
+def shown(value: float | None, form: str) -> str:
+    return "–" if value is None else form.format(value)
+
+
+def joined(values) -> str:
+    return ", ".join(values)
+
+
 def with_95(median: float, high: float) -> str:
     return f"{median:.3f} ({high:.3f})"
 
@@ -63,7 +60,7 @@ def by_pixels(size) -> str:
 
 
 def decibels(value: float | None) -> str:
-    return "–" if value is None else f"{value:+.2f}"
+    return shown(value, "{:+.2f}")
 
 
 def quality(measured: dict) -> list[str]:

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import collections
-import pathlib
 
-from pages.tables import NAMES, POSES, decibels, filled, quality, source, table, texts
-
-TEXTS = texts("results")
+from pages.tables import NAMES, POSES, decibels, quality, shown, source, table
 
 #: Columns of the table of shortcuts: what each is compared with.
 COSTS = {
@@ -18,54 +15,53 @@ COSTS = {
 }
 
 
-def table1_parts(files: list[dict], pictures: pathlib.Path) -> list[str]:
+def table1(files: list[dict]) -> list[str]:
     results = files[0]
     rows = []
     for row in results["rows"]:
-        paper, authors = ("–" if row[name] is None else f"{row[name]:g}" for name in ("paper_a100", "authors_h200"))
+        paper, authors = (shown(row[name], "{:g}") for name in ("paper_a100", "authors_h200"))
         psnr = "reference" if row["psnr_to_reference"] is None else f"{row['psnr_to_reference']:.1f}"
         cells = "precise" if row["resolution"] is None else f"{row['resolution']}³"
         rows.append([NAMES[row["kind"]], cells, f"**{row['seconds']:.4f}**", paper, authors, psnr])
-    facts = {name: results[name] for name in ("scene", "size", "samples")}
-    facts |= {"voxels": f"{results['voxels']:,}", "vertices": results["cage_vertices"]}
+    size, samples, voxels = results["size"], results["samples"], f"{results['voxels']:,}"
     head = ["coordinates", "lattice", "warpcage, s", "paper, s (A100)", "authors' code, s (H200)", "PSNR, dB"]
     return [
-        filled(TEXTS["table1"], reference=results["harmonic_reference"], **facts),
+        (
+            f"Scene: {results['scene']}, {voxels} voxels; {size}x{size} pixels, {samples} samples a ray across the "
+            f"deformed scene's box;\ncage of {results['cage_vertices']} vertices.\n"
+        ),
         table(head, rows),
         source(results),
-        TEXTS["table1 figure"],
     ]
 
 
-def fields_parts(files: list[dict], pictures: pathlib.Path) -> list[str]:
-    rows = [row for results in files for row in results["rows"]]
-    middle = files[0]["middle"]
-    ceilings = {scene["scene"]: scene for results in files for scene in results["scenes"]}
+def all_rows(files: list[dict]) -> tuple[list[dict], int]:
+    """Rows of all files, and the lattice of those that compare anything but lattices."""
+    return [row for results in files for row in results["rows"]], files[0]["middle"]
+
+
+def ceilings(files: list[dict]) -> dict[str, dict]:
+    """The scenes at rest by their names."""
+    return {scene["scene"]: scene for results in files for scene in results["scenes"]}
+
+
+def at_rest(files: list[dict]) -> list[str]:
+    rows = [[name, f"{scene['voxels']:,}", *quality(scene), depth(scene)] for name, scene in ceilings(files).items()]
+    return [table(["scene", "voxels", "PSNR, dB", "SSIM", "depth error"], rows)]
+
+
+def posed(files: list[dict]) -> list[str]:
+    rows, middle = all_rows(files)
     plain = [row for row in rows if row["what"] == "frame"]
-    rests = [[name, f"{scene['voxels']:,}", *quality(scene), depth(scene)] for name, scene in ceilings.items()]
     worst = min((row for row in plain if row["resolution"] == middle), key=lambda row: row["to_ceiling"])
-    said = f"{worst['to_ceiling']:+.2f} dB ({worst['scene']}, {worst['pose']}, {NAMES[worst['kind']]})"
     lattices = ["64³", "128³", "256³", "precise", f"PSNR at {middle}³"]
-    pictures_of = "rest, truth, deformed field, five times the difference"
+    head = ["scene", "pose", "coordinates", *lattices, "SSIM", "depth error", "stretch"]
     return [
-        TEXTS["truth"],
-        TEXTS["rest"],
-        table(["scene", "voxels", "PSNR, dB", "SSIM", "depth error"], rests),
-        TEXTS["posed"],
-        table(
-            ["scene", "pose", "coordinates", *lattices, "SSIM", "depth error", "stretch"],
-            [line for name in ceilings for line in posed_lines(plain, name, middle)],
+        table(head, [line for name in ceilings(files) for line in posed_lines(plain, name, middle)]),
+        (
+            f"The farthest from the ceiling at {middle}³: {worst['to_ceiling']:+.2f} dB ({worst['scene']}, "
+            f"{worst['pose']}, {NAMES[worst['kind']]}).\n"
         ),
-        filled(TEXTS["farthest"], middle=middle, worst=said),
-        *[source(results) for results in files],
-        "\n".join(f"![{name}: {pictures_of}](pictures/ground_truth_{name}.jpg)\n" for name in ceilings),
-        filled(TEXTS["figures"], middle=middle),
-        TEXTS["own fits"],
-        own_fits(rows, middle),
-        TEXTS["causes"],
-        differences(rows, middle, ["frame", "truth turned", "truth relit", "half step", "density paper"]),
-        TEXTS["shortcuts"],
-        costs(rows, middle),
     ]
 
 
@@ -88,15 +84,16 @@ def posed_lines(plain: list[dict], scene: str, middle: int) -> list[list[str]]:
     return lines
 
 
-def harmonic(rows: list[dict], middle: int) -> dict[tuple[str, str, str], dict]:
-    """The harmonic rows of one resolution by scene, pose and what they measure."""
+def harmonic(files: list[dict]) -> dict[tuple[str, str, str], dict]:
+    """The harmonic rows of the middle resolution by scene, pose and what they measure."""
+    rows, middle = all_rows(files)
     chosen = (row for row in rows if row["kind"] == "harmonic" and row["resolution"] == middle)
     return {(row["scene"], row["pose"], row["what"]): row for row in chosen}
 
 
-def own_fits(rows: list[dict], middle: int) -> str:
-    """Deformed fields compared with fields fitted to the pose, harmonic, at the middle resolution."""
-    found = harmonic(rows, middle)
+def own_fits(files: list[dict]) -> list[str]:
+    """Deformed fields compared with fields fitted to the pose."""
+    found = harmonic(files)
     lines = []
     for (scene, pose, what), own in found.items():
         if what == "fit of the pose":
@@ -104,44 +101,46 @@ def own_fits(rows: list[dict], middle: int) -> str:
             values = (frame["psnr"] - frame["to_ceiling"], own["psnr"], frame["psnr"])
             lines.append([scene, pose, *(f"{value:.2f}" for value in values), f"{frame['psnr'] - own['psnr']:+.2f}"])
     head = ["scene", "pose", "field at rest", "field of the pose", "deformed field", "deformed less field of the pose"]
-    return table(head, lines)
+    return [table(head, lines)]
 
 
-def differences(rows: list[dict], middle: int, whats: list[str]) -> str:
-    """Mean dB to the ceiling at the middle resolution, harmonic, one line per pose."""
+def causes(files: list[dict]) -> list[str]:
+    """Mean dB to the ceiling, one line per pose."""
+    names = ["frame", "truth turned", "truth relit", "half step", "density paper"]
     found = collections.defaultdict(list)
-    for (_, pose, what), row in harmonic(rows, middle).items():
+    for (_, pose, what), row in harmonic(files).items():
         found[pose, what].append(row["to_ceiling"])
     lines = []
     for pose in POSES:
-        values = [found.get((pose, what)) for what in whats]
+        values = [found.get((pose, what)) for what in names]
         if any(values[1:]):
             lines.append([pose, *(decibels(value and sum(value) / len(value)) for value in values)])
-    return table(["pose", *("as it is" if what == "frame" else what for what in whats)], lines)
+    return [table(["pose", "as it is", *names[1:]], lines)]
 
 
-def costs(rows: list[dict], middle: int) -> str:
-    """dB that each shortcut costs at the middle resolution, harmonic."""
-    found = {place: row["psnr"] for place, row in harmonic(rows, middle).items()}
+def shortcuts(files: list[dict]) -> list[str]:
+    """dB that each shortcut costs."""
+    found = {place: row["psnr"] for place, row in harmonic(files).items()}
     lines = []
     for scene, pose in dict.fromkeys((scene, pose) for scene, pose, _ in found):
         pairs = [(found.get((scene, pose, what)), found.get((scene, pose, other))) for what, other in COSTS.items()]
         lines.append([scene, pose, *(decibels(None if None in pair else pair[0] - pair[1]) for pair in pairs)])
-    return table(["scene", "pose", *(what.removeprefix("march, ") for what in COSTS)], lines)
+    return [table(["scene", "pose", *(what.removeprefix("march, ") for what in COSTS)], lines)]
 
 
-def coverage_parts(files: list[dict], pictures: pathlib.Path) -> list[str]:
-    results = files[0]
+def coverage(files: list[dict]) -> list[str]:
     rows = [
         [row["scene"], row["pose"], f"{row['rest']:.3f}", f"{row['posed']:.3f}", f"{row['decibels']:+.2f}"]
-        for row in results["rows"]
+        for row in files[0]["rows"]
     ]
-    head = ["scene", "pose", "covered at rest", "covered posed", "dB by coverage alone"]
-    return [TEXTS["coverage"], table(head, rows), source(results)]
+    return [
+        table(["scene", "pose", "covered at rest", "covered posed", "dB by coverage alone"], rows),
+        source(files[0]),
+    ]
 
 
-def start_parts(files: list[dict], pictures: pathlib.Path) -> list[str]:
-    parts = [TEXTS["first start"]]
+def start(files: list[dict]) -> list[str]:
+    parts = []
     for results in files:
         rows = [
             [row["stage"], f"{row['cold']:.2f} ({row['cold_work']:.2f})", f"{row['warm']:.2f}"]

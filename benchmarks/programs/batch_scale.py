@@ -12,7 +12,6 @@ import time
 
 import numpy as np
 from common import JSON, ball_field, command, option, pickle_by_value, write_results, write_twists
-from pages.pages import batch_scale_text
 
 import warpcage
 from warpcage.studio.jobs import (
@@ -48,12 +47,11 @@ CAMERA = {"eye": [3, 2, 1.5], "target": [0, 0, 0], "width": 64, "height": 64}
     option("--messages", type=int, default=20_000, help="items of the runs that measure Ray"),
     option("--measured", help="take what was measured from an earlier JSON file of this machine"),
     JSON,
-    option("--page", help="Markdown page of the figures"),
 )
 def main(args) -> int:
-    """Where the driver of `warpcage run` ends: a million items over a thousand workers, simulated with measured times.
+    """How far the driver of `warpcage run` goes: a million items over a thousand workers, simulated.
 
-        python benchmarks batch-scale --json docs/results/batch_scale.json --page docs/batch_scale.md
+        python benchmarks batch-scale --json docs/results/batch_scale.json
 
     Measured here: what an item takes (frames of a ball by one worker), what a chunk costs the driver (real Ray, items
     that do nothing; processor time of the driver's process against chunks and items), and what the driver does before
@@ -66,11 +64,7 @@ def main(args) -> int:
     shown = [(mean, policy) for mean in MEANS for policy in POLICIES if mean == ONE_BY_ONE or policy != "one item"]
     runs = [simulated(args.items, args.workers, mean, seconds, costs, policy) for mean, policy in shown]
     content = {name: measured[name] for name in ("frame_seconds", "costs", "driver")} | {"simulated": runs}
-    if args.json:
-        write_results(args.json, "cpu", **content)
-    if args.page:
-        text = batch_scale_text(args.items, args.workers, AIM, LARGEST, content)
-        pathlib.Path(args.page).write_text(text, encoding="utf-8")
+    write_results(args.json, "cpu", **content)
     return 1 if any(run["lost"] or run["twice"] for run in runs) else 0
 
 

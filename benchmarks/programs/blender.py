@@ -94,14 +94,14 @@ def preview(args) -> None:
     from warpcage.core import resolve_device
     from warpcage.mesh import write_glb
     from warpcage.studio.editor import demo_files
-    from warpcage.studio.films import read_pose
+    from warpcage.studio.films import AssetResolver, RestCage
     from warpcage.view import contact_sheet, read_image, write_png
 
     device = resolve_device(args.device)
     field_path, cage_path = (args.field, args.cage) if args.field else demo_files(device)
     field = warpcage.VoxelField.load(field_path, device=device)
     cage = warpcage.Cage.load(cage_path)
-    posed = read_pose(cage, args.posed)
+    posed = AssetResolver().pose(RestCage(cage), args.posed)
     mesh = field.extract_mesh(colors=True)
     vertices = np.asarray(mesh.vertices)
     middle = (cage.bounds[0] + cage.bounds[1]) / 2

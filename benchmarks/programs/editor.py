@@ -78,8 +78,7 @@ def drags(args) -> None:
             found["device_memory_mb"] = (free - (free_bytes(args.device) or 0)) >> 20
     for name, value in found.items():
         print(f"{name:22} {value}")
-    if args.json:
-        write_results(args.json, args.device, **found)
+    write_results(args.json, args.device, **found)
 
 
 def free_bytes(name: str | None) -> int | None:

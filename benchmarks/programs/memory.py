@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import json
 import os
@@ -11,7 +10,7 @@ import tempfile
 import threading
 import time
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import warp as wp
@@ -20,7 +19,7 @@ from common import GROWTH, JSON, ball_field, command, option, resident, write_re
 import warpcage
 import warpcage.studio.films.video as film
 from warpcage import PoseFile
-from warpcage.core import BackgroundWriter, overlap, stream
+from warpcage.core import BackgroundWriter
 from warpcage.studio.jobs import ProcessEngine, run, write_jobs
 from warpcage.view import write_png
 
@@ -77,8 +76,7 @@ def soak(args) -> int:
     grown = {name: found for name, part in parts.items() if (found := growth(part))}
     for name, found in grown.items():
         print(f"{name}: grew: {found}")
-    if args.json:
-        write_results(args.json, args.device, parts=parts, limit_megabytes=GROWTH, grown=grown)
+    write_results(args.json, args.device, parts=parts, limit_megabytes=GROWTH, grown=grown)
     if args.figure:
         pathlib.Path(args.figure).write_text(figure(parts), encoding="utf-8")
     return 1 if grown else 0
@@ -275,40 +273,29 @@ def figure(parts: dict) -> str:
 
 @command(
     option("--frames", type=int, default=2000, help="of a film whose memory is watched"),
-    option("--timed", type=int, default=40, help="frames of a film that is timed"),
     option("--size", type=int, nargs=2, default=(1920, 1080), metavar=("WIDTH", "HEIGHT")),
     option("--kinds", nargs="+", choices=FILMS, default=["mp4", "png"], help="of films that are watched"),
     JSON,
 )
 def films(args) -> int:
-    """Memory of a long film, and what it costs that its pictures are encoded: beside rendering, and after each frame.
+    """Memory of a long film.
 
         python benchmarks memory films --json docs/results/film_memory_cpu.json
 
-    *Memory*: films of --frames pictures of 1920x1080 that cost nothing to make, so that the encoder is what all waits
-    for; resident memory of the process is sampled FILM_SAMPLES times from frame FILM_WARM on, when the encoder looks as
-    far ahead as it does. The exit status is 1 where the last samples lie more than FILM_GROWTH above the first.
-
-    *Time*: --timed pictures, each "rendered" by a wait of as long as its encoding takes alone: a device that works
-    while the host has nothing to do. Encoded after each frame, a film takes twice as long as its rendering. Figures are
-    ratios to that rendering alone.
+    The pictures cost nothing to make, so that the encoder bounds the time. Resident memory of the process is sampled
+    FILM_SAMPLES times from frame FILM_WARM on, when the encoder looks as far ahead as it does. The exit status is 1
+    where the last samples lie more than FILM_GROWTH above the first.
     """
     pictures = shown_pictures(*args.size)
-    memory, times = {}, {}
+    memory = {}
     with tempfile.TemporaryDirectory() as folder:
         for kind in args.kinds:
             memory[kind] = watched(kind, pictures, args.frames, pathlib.Path(folder))
             first, last = ends(memory[kind]["megabytes"])
             print(f"{kind:5} {args.frames} frames: {first:.0f} to {last:.0f} MB", flush=True)
-        for kind in FILMS:
-            times[kind] = timed(kind, pictures, args.timed, pathlib.Path(folder))
-            after, beside = times[kind]["after_each_frame"], times[kind]["beside"]
-            print(f"{kind:5} time of rendering: {after:.2f} encoded after each frame, {beside:.2f} beside", flush=True)
     grown = {kind: ends(found["megabytes"])[1] - ends(found["megabytes"])[0] for kind, found in memory.items()}
-    if args.json:
-        size = {"width": args.size[0], "height": args.size[1]}
-        content = {"memory": memory, "grown_megabytes": grown, "limit": FILM_GROWTH, "times": times}
-        write_results(args.json, "cpu", size=size, **content)
+    size = dict(zip(("width", "height"), args.size, strict=True))
+    write_results(args.json, "cpu", size=size, memory=memory, grown_megabytes=grown, limit=FILM_GROWTH)
     return 1 if max(grown.values()) > FILM_GROWTH else 0
 
 
@@ -351,52 +338,6 @@ def watched(kind: str, pictures: list[np.ndarray], count: int, folder: pathlib.P
     return curve | {"seconds": time.perf_counter() - begin, "threads": threading.active_count()}
 
 
-def timed(kind: str, pictures: list[np.ndarray], count: int, folder: pathlib.Path) -> dict:
-    """How long a film takes, by the time that its rendering takes alone."""
-    alone = seconds(kind, rendered(pictures, count, 0.0), folder, in_turn=True) / count
-    begin = time.perf_counter()
-    for _ in rendered(pictures, count, alone):
-        pass
-    rendering = time.perf_counter() - begin
-    after = seconds(kind, rendered(pictures, count, alone), folder, in_turn=True)
-    beside = seconds(kind, rendered(pictures, count, alone), folder, in_turn=False)
-    return {
-        "encoding_of_a_frame_seconds": alone,
-        "after_each_frame": after / rendering,
-        "beside": beside / rendering,
-        "share_of_encoding_after": 1.0 - rendering / after,
-        "share_of_encoding_beside": max(0.0, 1.0 - rendering / beside),
-    }
-
-
-def rendered(pictures: list[np.ndarray], count: int, wait: float) -> Iterator[np.ndarray]:
-    for index in range(count):
-        time.sleep(wait)
-        yield pictures[index % PICTURES]
-
-
-def seconds(kind: str, frames: Iterable[np.ndarray], folder: pathlib.Path, in_turn: bool) -> float:
-    """Time of a film, in one thread or with those of the encoder."""
-    begin = time.perf_counter()
-    if kind == "png":
-        with contextlib.nullcontext() if in_turn else BackgroundWriter() as beside:
-            for index, picture in enumerate(frames):
-                task = functools.partial(write_png, folder / f"frame_{index % 64}.png", picture)
-                task() if beside is None else beside.run(task, picture.nbytes)
-    else:
-        overlap.stream = one_after_the_other if in_turn else stream
-        try:
-            film.write_film(folder / f"film.{kind}", frames)
-        finally:
-            overlap.stream = stream
-    return time.perf_counter() - begin
-
-
-def one_after_the_other(items, prepare, consume) -> None:
-    """What `stream` does, in one thread."""
-    consume(map(prepare, items))
-
-
 def ends(values: list[float]) -> tuple[float, float]:
     """Means of the first and of the last values."""
     return float(np.mean(values[:ENDS])), float(np.mean(values[-ENDS:]))
@@ -435,8 +376,7 @@ def batch(args) -> int:
     grown = {name: values[-1] - values[warm] for name, values in curves.items() if name != "items"}
     for name, added in grown.items():
         print(f"{name}: {curves[name][warm]:.0f} to {curves[name][-1]:.0f} MB, {added:+.1f}")
-    if args.json:
-        write_results(args.json, "cpu", seconds=report.seconds, megabytes=curves, grown=grown, limit_megabytes=GROWTH)
+    write_results(args.json, "cpu", seconds=report.seconds, megabytes=curves, grown=grown, limit_megabytes=GROWTH)
     return 1 if max(grown.values()) > GROWTH else 0
 
 

@@ -1,5 +1,4 @@
-"""Benchmarks that no quick run starts can be started all the same, and pages of figures are what their commands make of
-the results that lie beside them: nobody writes into them."""
+"""Every benchmark can be started, also those that no quick run starts; tables of pages are what their commands make."""
 
 import pathlib
 import re
@@ -11,27 +10,27 @@ import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
-PAGES = ("results", "fits", "fits_of_captures", "trends", "captures", "splats_views", "frames", "select")
+PAGES = "results fits fits_of_captures trends captures splats_views frames select batch_scale".split()
 
 PROGRAM = """
 import contextlib, io, re, runpy, sys
 sys.path.insert(0, "benchmarks")
 main = runpy.run_path("benchmarks/__main__.py", run_name="benchmarks")["main"]
 
-def said(*words):
+def output(*arguments):
     with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.suppress(SystemExit):
-        assert main(list(words)) in (0, 2)
+        assert main(list(arguments)) in (0, 2)
     return text.getvalue()
 
 def names(text):
     return re.findall("^  ([a-z][a-z0-9-]*)  ", text, re.MULTILINE)
 
-for suite in names(said()):
-    commands = names(said(suite, "--help")) if "COMMAND" in said(suite, "--help") else [None]
+for suite in names(output()):
+    commands = names(output(suite, "--help")) if "COMMAND" in output(suite, "--help") else [None]
     for command in commands:
-        words = [suite, *filter(None, [command]), "--help"]
-        assert said(*words).startswith("usage: python benchmarks " + " ".join(words[:-1])), words
-        print(*words[:-1])
+        arguments = [suite, *filter(None, [command]), "--help"]
+        assert output(*arguments).startswith("usage: python benchmarks " + " ".join(arguments[:-1])), arguments
+        print(*arguments[:-1])
 """
 
 
@@ -41,7 +40,7 @@ def test_every_benchmark_says_what_it_takes():
     readme = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
     assert done.stdout.count("\n") > 30
     for line in done.stdout.splitlines():
-        assert all(re.search(rf"`{word}`", readme) for word in line.split()), f"benchmarks/README.md lacks {line}"
+        assert all(re.search(rf"`{name}`", readme) for name in line.split()), f"benchmarks/README.md lacks {line}"
 
 
 def test_every_quick_run_is_one_that_there_is():
@@ -55,10 +54,9 @@ def test_every_quick_run_is_one_that_there_is():
 
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_what_its_command_makes(name, tmp_path, monkeypatch, capsys):
-    (tmp_path / "pictures").symlink_to(ROOT / "docs" / "pictures")
     page, command = tmp_path / "page.md", ["pages", name.replace("_", "-")]
-    words = [*command, "--results", str(ROOT / "docs" / "results"), "--page", str(page)]
-    monkeypatch.setattr(sys, "argv", ["benchmarks", *words])
+    arguments = [*command, "--results", str(ROOT / "docs" / "results"), "--page", str(page)]
+    monkeypatch.setattr(sys, "argv", ["benchmarks", *arguments])
     with pytest.raises(SystemExit) as ended:
         runpy.run_path(str(ROOT / "benchmarks"), run_name="__main__")
     assert not ended.value.code
@@ -68,7 +66,7 @@ def test_a_page_is_what_its_command_makes(name, tmp_path, monkeypatch, capsys):
     assert "left out" not in capsys.readouterr().out
 
 
-def test_memory_of_a_fit_is_told_from_that_of_those_before(monkeypatch):
+def test_memory_of_a_fit_is_distinguished_from_that_of_those_before(monkeypatch):
     """Peaks of a process only rise: a fit's own is known where it rose."""
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     from pages.pages import memory
