@@ -155,9 +155,13 @@ async function uploaded(file) {
   return JSON.parse(content).file;
 }
 
-/** A hidden file field, which opens the browser's own dialog; load(name) is called when the file has arrived. */
-export function uploadField(id, label, accept, load) {
-  const input = el("input", { id, type: "file", accept, class: "hidden-file", tabindex: "-1", "aria-label": label });
+/**
+ * A hidden file field, which opens the browser's own dialog; load(name) is called when the file has arrived.
+ * kind: what the file is loaded as, by which the server has its endings.
+ */
+export function uploadField(id, label, kind, load) {
+  const input = el("input", { id, type: "file", class: "hidden-file", tabindex: "-1", "aria-label": label });
+  input.addEventListener("click", () => (input.accept = store.sections.session.endings[kind].join()));
   input.addEventListener("change", async () => {
     const [file] = input.files;
     input.value = "";
@@ -184,7 +188,7 @@ function verdictOf({ problem, crossing_faces: crossing = [], folded_share: folde
 const VERDICTS = { pending: "Checking…", good: "Check: all well", warn: "Check: is this intended?", bad: "Check: fix this" };
 
 export function cageGroup() {
-  const upload = uploadField("cage-upload-file", "Cage file", ".obj,.ply,.off,.glb,.gltf", loadCage);
+  const upload = uploadField("cage-upload-file", "Cage file", "cage", loadCage);
   const size = el("p", { id: "cage-size", class: "note" });
   const refine = el(
     "div",

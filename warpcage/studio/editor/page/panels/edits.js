@@ -5,7 +5,7 @@ import { request } from "../core/connection.js";
 import { askFor, confirmThat } from "../core/dialogs.js";
 import { activeObject } from "../view/objects.js";
 import { counted, keysOf } from "./keys.js";
-import { deformationFields } from "./picture.js";
+import { settingFields } from "./picture.js";
 import { button, choice, el, followKey, group, listBox, listRow, number, setIcon, setText, text } from "../core/controls.js";
 
 const KINDS = [
@@ -139,8 +139,8 @@ export function editsGroup() {
   );
   const details = el("div", { class: "stack" }, name.root, kind.root, meaning);
   const walls = el("div", { class: "stack" }, falloff.root, held.root, fragments.root);
-  const deformation = deformationFields();
-  const advanced = group("advanced", "Advanced", false, walls, el("p", { class: "note" }, "For all edits:"), ...deformation.roots);
+  const deformation = settingFields("deformation");
+  const advanced = group("advanced", "Advanced", false, walls, el("p", { class: "note" }, "For all edits:"), deformation.root);
   const made = group("edits", "Edits", true, ...list.parts, tools, details, advanced.root);
   const show = () => {
     const { edits = [] } = store.sections;

@@ -6,7 +6,7 @@ import { askFor, copyText, toast } from "../core/dialogs.js";
 import { button, choice, el, followKey, group, icon, listBox, number, row, rows, setText, short, text, titleOf } from "../core/controls.js";
 import { loadFrom, uploadField } from "./cage.js";
 import { EXPORTS, exportFilm } from "./exports.js";
-import { EASINGS, LOOPS, add, change, choose, chosenKey, counted, ease, easingName, film, goTo, holds, jump, keysOf, onChosen, remove, seconds } from "./keys.js";
+import { LOOPS, add, change, choose, chosenKey, counted, easingChoice, easingLabel, easingName, film, goTo, holds, jump, keysOf, onChosen, remove, seconds } from "./keys.js";
 
 function makeKeyRow({ id }) {
   const time = el("span", { class: "row-note time" });
@@ -23,12 +23,12 @@ function makeKeyRow({ id }) {
   const update = (key) => {
     setText(time, seconds(key.time));
     setText(name, key.name);
-    setText(easing, EASINGS.find(([value]) => value === easingName(key.easing))?.[1] ?? key.easing);
+    setText(easing, easingLabel(key));
     marks.children[0].classList.toggle("off", !key.pose);
     marks.children[1].classList.toggle("off", !key.camera);
     const isChosen = chosenKey()?.id === id;
     root.setAttribute("aria-selected", String(isChosen));
-    root.setAttribute("aria-label", `${key.name} at ${seconds(key.time)}, ${holds(key)}, ${easingName(key.easing)}`);
+    root.setAttribute("aria-label", `${key.name} at ${seconds(key.time)}, ${holds(key)}, ${easingName(key)}`);
   };
   return { root, update };
 }
@@ -78,7 +78,7 @@ export function keysGroup() {
   });
   const name = text({ id: "key-name", label: "Name", title: "Name of the selected key (Enter keeps it)", maxlength: 100, onChange: (to) => change({ name: to }) });
   const time = number({ id: "key-time", label: "Time", title: "Time of the selected key", min: 0, max: 3600, unit: "s", onChange: (to) => change({ time: to }) });
-  const easing = choice({ id: "key-easing", label: "Easing", title: "How the movement to the next key goes", options: EASINGS, onChange: ease });
+  const easing = easingChoice({ id: "key-easing", label: "Easing", title: "How the movement to the next key goes" });
   const takeCurve = (to) => change({ easing: { bezier: to.split(/[\s,]+/).map(Number) } });
   const curve = text({ id: "key-curve", label: "Curve", title: "Bezier handles x1, y1, x2, y2 as in CSS cubic-bezier: x is time from 0 to 1, y is progress and may go beyond", onChange: takeCurve });
   const details = el(
@@ -111,7 +111,7 @@ export function keysGroup() {
     document.getElementById(`key-${key.id}`)?.scrollIntoView({ block: "nearest" });
     name.set(key.name);
     time.set(key.time);
-    easing.set(easingName(key.easing));
+    easing.set(key);
     curve.root.hidden = !key.easing.bezier;
     curve.set(key.easing.bezier?.map((number) => short(number)).join(", ") ?? "");
   };
@@ -131,7 +131,7 @@ export function filmGroup() {
   const films = button({ id: "export-film", label: "Export film…", kind: "primary", title: "Write the film as MP4, GIF, ProRes, WebM or PNG pictures", onClick: exportFilm });
   const others = el("div", { class: "grid" });
   for (const [what, label, title, start] of EXPORTS) others.append(button({ id: `export-${what}`, label: `${label}…`, title, onClick: start }));
-  const upload = uploadField("poses-upload-file", "Pose file", ".json", (file) => request({ do: "poses.load", file }));
+  const upload = uploadField("poses-upload-file", "Pose file", "poses", (file) => request({ do: "poses.load", file }));
   const poses = row(
     button({ id: "poses-load", label: "Load…", title: "Load a pose file from the session's folder into the timeline", onClick: () => loadFrom("poses", "Load poses", "poses.load", [], replaced()) }),
     button({ id: "poses-upload", label: "Upload…", title: "Upload a pose file from this computer", onClick: () => upload.click() }),

@@ -2,25 +2,26 @@
 
 import { store } from "../core/store.js";
 import { request, send } from "../core/connection.js";
-import { perPicture, short } from "../core/controls.js";
+import { choice, perPicture, short } from "../core/controls.js";
 
-export const EASINGS = [
-  ["smooth", "Smooth"],
-  ["linear", "Linear"],
-  ["hold", "Hold"],
-  ["ease-in", "Ease in"],
-  ["ease-out", "Ease out"],
-  ["ease-in-out", "Ease in and out"],
-  ["bounce", "Bounce"],
-  ["elastic", "Elastic"],
-  ["bezier", "Custom curve"],
-];
+/** Easings as the server has them: [name, label, the curve that a custom curve begins with]. */
+const easings = () => [...(store.sections.session?.easings ?? []), ["bezier", "Custom curve"]];
 
-/** The curves that these easings are, or are near to: a custom curve begins with one. */
-const CURVES = { linear: [1 / 3, 1 / 3, 2 / 3, 2 / 3], "ease-in": [1 / 3, 0, 2 / 3, 1 / 3], "ease-out": [1 / 3, 2 / 3, 2 / 3, 1], smooth: [1 / 3, 0, 2 / 3, 1] };
+/** The name of a key's easing: "bezier" for a curve {bezier: [x1, y1, x2, y2]}. */
+export const easingName = ({ easing }) => (typeof easing === "string" ? easing : "bezier");
 
-/** The name of an easing: "bezier" for a curve {bezier: [x1, y1, x2, y2]}. */
-export const easingName = (easing) => (typeof easing === "string" ? easing : "bezier");
+export const easingLabel = (key) => easings().find(([name]) => name === easingName(key))?.[1] ?? key.easing;
+
+/** A choice of the selected key's easing; set(key) shows that of a key. */
+export function easingChoice(options) {
+  const made = choice({ ...options, options: [], onChange: ease });
+  const set = (key) => {
+    if (made.input.options.length < 2) made.fill(easings());
+    if (key) made.set(easingName(key));
+  };
+  return { ...made, set };
+}
+
 export const LOOPS = [
   ["once", "Once"],
   ["loop", "Loop"],
@@ -111,9 +112,10 @@ export function change(changes) {
 }
 
 /** Gives the chosen key the easing of this name; a custom curve begins like the easing before. */
-export function ease(name) {
+function ease(name) {
   const before = chosenKey()?.easing;
-  const curve = before?.bezier ?? (CURVES[before] ?? CURVES.smooth).map((number) => Math.round(100 * number) / 100);
+  const [, , like] = easings().find(([one]) => one === before) ?? easings()[0];
+  const curve = before?.bezier ?? like.map((number) => Math.round(100 * number) / 100);
   change({ easing: name === "bezier" ? { bezier: curve } : name });
 }
 

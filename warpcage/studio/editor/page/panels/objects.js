@@ -8,7 +8,6 @@ import { activeObject, choose, objects } from "../view/objects.js";
 import { uploadField } from "./cage.js";
 import { counted, film } from "./keys.js";
 
-const FIELDS = ".npz,.ply,.spz,.sog,.splat,.glb";
 const OWN = 0; // the number of the field that the session is of
 
 const change = (id, changes) => request({ do: "object.change", id, ...changes });
@@ -132,7 +131,7 @@ export function objectsGroup() {
     onKey: onListKey,
     make: makeRow,
   });
-  const upload = uploadField("object-upload-file", "Scene or mesh file", FIELDS, (file) => addFile(file));
+  const upload = uploadField("object-upload-file", "Scene or mesh file", "object", (file) => addFile(file));
   const tools = el(
     "div",
     { class: "grid" },

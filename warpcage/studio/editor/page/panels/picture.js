@@ -3,9 +3,8 @@
 import { actions, run, store } from "../core/store.js";
 import { request } from "../core/connection.js";
 import { objects } from "../view/objects.js";
-import { button, check, choice, el, group, percent, perPicture, segments, setText, titleOf } from "../core/controls.js";
+import { button, check, choice, el, group, number, percent, perPicture, segments, setText, titleOf } from "../core/controls.js";
 
-const RESOLUTIONS = [16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512];
 const VIEWS = [
   ["view.front", "Front"],
   ["view.right", "Right"],
@@ -13,16 +12,50 @@ const VIEWS = [
   ["view.all", "All"],
 ];
 
-const DENSITIES = [
-  ["opacity", "Keep opacity"],
-  ["paper", "More opaque as they grow"],
-];
-
 const change = (changes) => request({ do: "settings", ...changes });
 
-/** A choice of a setting, by its name in the settings; `read`: what is sent for a chosen value. */
-const settingChoice = (name, label, title, options, read = String) =>
-  choice({ id: name, label, title, options, onChange: (value) => change({ [name]: read(value) }) });
+/** What the schema of the settings says of one, as a title: its description, and hints of its choices. */
+function titleOfSetting({ description, labels = [] }) {
+  const sentences = [description, ...labels.filter(([, , hint]) => hint).map(([, label, hint]) => `${label}: ${hint}`)];
+  return sentences.map((text) => text[0].toUpperCase() + text.slice(1)).join(". ");
+}
+
+/** The field of a setting by its schema: {root, set(value)}. */
+function settingField(name, schema) {
+  const given = { id: name, label: schema.title, title: titleOfSetting(schema) };
+  const send = (value) => change({ [name]: value });
+  if (schema.type === "boolean") return check({ ...given, onChange: send });
+  const options = schema.labels ?? schema.enum?.map((value) => [value, value]);
+  if (!options) return number({ ...given, min: schema.minimum, max: schema.maximum, step: schema.type === "integer" ? 1 : 0.1, onChange: send });
+  const values = new Map(options.map(([value]) => [String(value), value]));
+  const field = choice({ ...given, options: options.map(([value, label]) => [String(value), label]), onChange: (key) => send(values.get(key)) });
+  const set = (value) => {
+    if (!values.has(String(value))) {
+      values.set(String(value), value); // one of a file, or of another program
+      field.input.append(el("option", { value }, String(value)));
+    }
+    field.set(value);
+  };
+  return { root: field.root, set };
+}
+
+/** The fields of a group of settings, which the server's schema describes, but those in `without`: {root, start()}. */
+export function settingFields(group, without = []) {
+  const root = el("div", { class: "stack" });
+  const fields = new Map();
+  const show = () => {
+    const { session, settings } = store.sections;
+    if (!settings || !session) return;
+    if (!fields.size) {
+      for (const [name, schema] of Object.entries(session.settings)) {
+        if (schema.group === group && !without.includes(name)) fields.set(name, settingField(name, schema));
+      }
+      root.append(...[...fields.values()].map((field) => field.root));
+    }
+    for (const [name, field] of fields) field.set(settings[name]);
+  };
+  return { root, start: () => store.follow(["settings", "session"], show) };
+}
 
 /** A background as "#rrggbb", for the colour field; null where it is the field's own. */
 function hexOf(background) {
@@ -85,45 +118,18 @@ function legend() {
   return { root, show };
 }
 
-/** How the scene follows its cages, for all edits alike: {roots, start()}. */
-export function deformationFields() {
-  const coordinates = settingChoice("coordinates", "Deformation", "", []); // the server's, once it is there
-  const resolution = settingChoice("resolution", "Resolution", "Grid cells along the cage's longest side: more follow sharp poses better, fewer are faster", RESOLUTIONS.map((cells) => [String(cells), `${cells} cells`]), Number);
-  const density = settingChoice("density", "Density", "What happens to the opacity of parts that grow or shrink", DENSITIES);
-  const show = () => {
-    const { session, settings } = store.sections;
-    if (!settings) return;
-    if (!coordinates.input.options.length) {
-      coordinates.fill(session.coordinates);
-      const title = ["How the inside follows the cage", ...session.coordinates.map(([, label, help]) => `${label}: ${help}`)].join(". ");
-      coordinates.input.title = coordinates.root.title = title;
-    }
-    const cells = String(settings.resolution);
-    if (!RESOLUTIONS.includes(settings.resolution) && ![...resolution.input.options].some(({ value }) => value === cells)) {
-      resolution.input.append(el("option", { value: cells }, `${cells} cells`));
-    }
-    coordinates.set(settings.coordinates);
-    resolution.set(settings.resolution);
-    density.set(settings.density);
-  };
-  return { roots: [coordinates.root, resolution.root, density.root], start: () => store.follow(["settings"], show) };
+/** Fills an element with the choice of what is shown; returns what sets it. */
+function fillShown(root) {
+  const { title, labels } = store.sections.session.settings.show;
+  const made = segments({ id: "show", label: title, options: labels, onChange: (value) => change({ show: value }) });
+  root.append(made.root);
+  return made.set;
 }
 
 export function viewGroup() {
-  const samples = [1, 2, 3, 4].map((side) => [String(side), `${side * side} per pixel`]);
-  const supersampling = settingChoice("supersampling", "Samples", "Samples per pixel: more are smoother and slower. For films, and here once nothing moves", samples, Number);
-  const shown = segments({
-    id: "show",
-    label: "What is shown",
-    options: [
-      ["rgb", "Colour", "The scene in colour"],
-      ["disparity", "Depth", "How near objects are: near is bright"],
-      ["alpha", "Alpha", "How opaque the scene is: white hides the background"],
-      ["masks", "Masks", "What is turned inside out, uncovered or empty"],
-    ],
-    value: "rgb",
-    onChange: (value) => change({ show: value }),
-  });
+  const others = settingFields("picture", ["show", "background", "fill"]);
+  const shown = el("div"); // a choice of what is shown, once the server has said of what
+  let setShown = null;
   const background = backgroundField();
   const masks = legend();
   const toolCheck = (id, tool, label, title) => check({ id, label, title: titleOf(title, tool), value: store.tools[tool], onChange: (on) => store.setTool(tool, on) });
@@ -133,18 +139,19 @@ export function viewGroup() {
   const viewButton = ([name, label]) =>
     button({ id: name.replace(".", "-"), label, title: titleOf(actions.get(name).label, name), onClick: () => run(name) });
   const views = el("div", { class: "grid quarters", role: "group", "aria-label": "Look from" }, ...VIEWS.map(viewButton));
-  const made = group("view", "Picture", false, shown.root, masks.root, overlay.root, grid.root, background.root, fill.root, supersampling.root, views);
+  const made = group("view", "Picture", false, shown, masks.root, overlay.root, grid.root, background.root, fill.root, others.root, views);
   const show = () => {
-    const { settings } = store.sections;
-    if (!settings) return;
-    supersampling.set(settings.supersampling);
+    const { session, settings } = store.sections;
+    if (!settings || !session) return;
     background.set(settings.background);
     fill.set(settings.fill);
-    fill.root.hidden = settings.background !== null || !store.sections.session?.field?.layers || objects().length > 1;
-    shown.set(settings.show);
+    fill.root.hidden = settings.background !== null || !session.field.layers || objects().length > 1;
+    setShown ??= fillShown(shown);
+    setShown(settings.show);
     masks.show();
   };
   const start = () => {
+    others.start();
     store.on("status", masks.show);
     store.on("tools", (tools) => {
       overlay.set(tools.cage);

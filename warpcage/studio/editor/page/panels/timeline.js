@@ -5,7 +5,7 @@ import { request } from "../core/connection.js";
 import { button, choice, el, followKey, number, rows, setIcon, setText, short, titleOf } from "../core/controls.js";
 import { exportFilm } from "./exports.js";
 import { graphs } from "./graph.js";
-import { EASINGS, LOOPS, add, change, choose, chosenKey, ease, easingName, film, goTo, holds, jump, keyAt, now, onChosen, onFrame, remove, room, seconds, step } from "./keys.js";
+import { LOOPS, add, change, choose, chosenKey, easingChoice, film, goTo, holds, jump, keyAt, now, onChosen, onFrame, remove, room, seconds, step } from "./keys.js";
 
 const NEAR = 4; // pixels that a press may slip before it is a drag
 const STEPS = [0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600];
@@ -130,7 +130,7 @@ function bar() {
   const time = number({ id: "time", label: "Current time in seconds", title: "Current time: type seconds and press Enter", min: 0, max: 3600, bare: true, onChange: goTo });
   const length = el("span", { class: "unit", id: "time-length" });
   const loop = choice({ id: "time-loop", label: "At the end", title: "What the film does at its end", options: LOOPS, bare: true, onChange: (value) => request({ do: "timeline", loop: value }) });
-  const easing = choice({ id: "time-easing", label: "Easing of the selected key", title: "How the movement from the selected key to the next goes", options: EASINGS, bare: true, onChange: ease });
+  const easing = easingChoice({ id: "time-easing", label: "Easing of the selected key", title: "How the movement from the selected key to the next goes", bare: true });
   const gone = button({ id: "time-delete", label: "Delete key", icon: "delete", title: "Delete the selected key (Delete on the timeline)", onClick: remove });
   const name = el("span", { id: "time-key", class: "note" });
   const unkeyed = el("span", { id: "time-unkeyed", title: "This pose is in no key: add one (K) to keep it when the time changes" }, "Pose not kept");
@@ -161,7 +161,7 @@ function bar() {
     setText(length, `/ ${seconds(long)}, frame ${Math.round(now() * fps)}`);
     loop.set(way);
     easing.input.disabled = gone.disabled = !key;
-    if (key) easing.set(easingName(key.easing));
+    easing.set(key);
     setText(name, key ? key.name : "");
     unkeyed.hidden = !isUnkeyed;
   };
