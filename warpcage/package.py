@@ -20,15 +20,20 @@ NEEDED = {"numpy": "numpy", "warp": "warp-lang", "imageio": "imageio"}
 #: Whether this is the package, not a part of it that `warpcage kernels copy` put into another one.
 IS_WHOLE = __name__ == "warpcage.package"
 
-#: Packages and modules that moved, by the names that they had up to version 0.2.
+#: The release without the old names that still work, with a warning; docs/old_names.md lists them all.
+WITHOUT_OLD_NAMES = "0.4"
+
+#: Packages and modules that moved, by the names that they had up to version 0.2; a module stands before its package.
 MOVED = {
     "warpcage.batch": "warpcage.studio.jobs",
     "warpcage.cage.motion": "warpcage.cage.pose_file",
     "warpcage.captures": "warpcage.studio.captures",
     "warpcage.cli": "warpcage.studio.cli",
-    "warpcage.edits.words": "warpcage.edits.spec",
     "warpcage.core.locks": "warpcage.core.threads",
+    "warpcage.deform.posed": "warpcage.deform.deformer",
+    "warpcage.editor.document": "warpcage.studio.films.document",
     "warpcage.editor": "warpcage.studio.editor",
+    "warpcage.edits.words": "warpcage.edits.spec",
     "warpcage.field.clean": "warpcage.select.clean",
     "warpcage.field.objects": "warpcage.select.objects",
     "warpcage.field.planes": "warpcage.select.planes",
@@ -44,6 +49,11 @@ MOVED = {
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 
 _ROOT = os.path.dirname(_PACKAGE)
+
+
+def renamed_line(old: str, new: str) -> str:
+    """The warning of an old name."""
+    return f"{old} is {new} now: the old name goes with warpcage {WITHOUT_OLD_NAMES}"
 
 
 def require_dependencies() -> None:
@@ -99,7 +109,7 @@ class _Moved:
         spec = util.find_spec(new)
         if spec is None:
             return None
-        warnings.warn(f"{name} is {new} now; the old name goes with warpcage 0.4", FutureWarning, stacklevel=2)
+        warnings.warn(renamed_line(name, new), FutureWarning, stacklevel=2)
         loader: Any = _Moved(spec)
         return util.spec_from_loader(name, loader, is_package=spec.submodule_search_locations is not None)
 

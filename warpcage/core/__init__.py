@@ -16,7 +16,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         ),
         "files": "atomic_path file_stamp read_limited",
         "kernel_files": (
-            "FOLDER MOVED all_needs copy_kernel direct_needs find_kernel host_modules kernel_call kernel_groups "
+            "FOLDER MOVED copy_kernel find_kernel kernel_call kernel_groups "
             "kernel_names kernel_source kernel_summary native_files"
         ),
         "memory": "MEASURED_EVERY MemoryShortage LRUCache UNKNOWN free_host_bytes",

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, UseError
-from .names import CURVE, EASINGS, Easing, checked_choice, error_line
+from ..package import WITHOUT_OLD_NAMES, renamed_line
+from .names import CURVE, EASINGS, Easing, checked_choice, error_line, shown
+from .names import listed as listed
 
 #: Most samples that a caller may ask for along the diagonal of a field: with more a picture takes minutes, and no pixel
 #: differs.
@@ -33,10 +35,6 @@ MAX_HALF = 65504.0
 
 #: Names of the axes, in their order.
 AXES = "xyz"
-
-#: Letters of a value or a name that a message shows.
-MAX_SHOWN = 60
-
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
@@ -195,28 +193,6 @@ def axis_index(axis: str) -> int:
     return AXES.index(axis)
 
 
-def listed(names: Iterable[Any], most: int = 8, *, none: str = "none") -> str:
-    """Names in a message, long ones cut: the first `most` of them, and how many more there are."""
-    texts = [str(name) for name in names]
-    return (", ".join(map(_cut, texts[:most])) or none) + (
-        f" and {len(texts) - most} more" if len(texts) > most else ""
-    )
-
-
-def shown(value: object) -> str:
-    """A value in a message: its `repr` in one line, cut where it is long."""
-    if isinstance(value, str):
-        value = value[: 2 * MAX_SHOWN]  # however long it is
-    try:
-        return _cut(" ".join(repr(value).split()))
-    except ValueError:  # a whole number of too many digits
-        return f"a number of type {type(value).__name__}"
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
-
-
 def _number(value: Any) -> float:
     """One number as a float, NaN for what is none."""
     # what has a number's type is not shown to NumPy, which took a third of the time of a large job file
@@ -317,6 +293,11 @@ def require_endings(endings: tuple[str, ...]) -> None:
         raise InputError(f"its endings must be lower case and begin with a dot, got {endings!r}")
 
 
+def warn_renamed(old: str, new: str) -> None:
+    """Warn the caller of an old name."""
+    warn_caller(renamed_line(old, new))
+
+
 def renamed(**names: str) -> Callable[[Decorated], Decorated]:
     """Decorates a function or class whose arguments were renamed: with center="centre" it still takes centre=."""
 
@@ -329,7 +310,7 @@ def renamed(**names: str) -> Callable[[Decorated], Decorated]:
                 if old in options:
                     if new in options:
                         raise UseError(f"{old} is the old name of {new}: give one of them")
-                    warn_caller(f"{old}= is called {new}= now: the old name goes with the next version")
+                    warn_renamed(f"{old}=", f"{new}=")
                     options[new] = options.pop(old)
             return function(*values, **options)
 
@@ -350,7 +331,7 @@ def device_by_name(function: Decorated) -> Decorated:
     @functools.wraps(function)
     def accepting(*values: Any, **options: Any) -> Any:
         if len(values) == most + 1 and "device" not in options:
-            warn_caller("give the device by its name, device=: the next version takes it so alone")
+            warn_caller(f"give the device by name, device=: by position it goes with warpcage {WITHOUT_OLD_NAMES}")
             values, options["device"] = values[:-1], values[-1]
         return call(*values, **options)
 

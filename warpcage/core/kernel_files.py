@@ -21,7 +21,7 @@ from collections.abc import Iterable
 from ..coordinate_kinds import COORDINATE_KINDS
 from ..errors import InputError
 from ..kernels import __path__ as kernel_folders
-from .checks import warn_caller
+from .checks import warn_renamed
 from .files import atomic_path
 
 FOLDER = pathlib.Path(kernel_folders[0])
@@ -93,9 +93,7 @@ def find_kernel(text: str) -> str:
     if not found:
         found = sorted({new for old, new in MOVED.items() if wanted in (old, _stem(old))})
         if len(found) == 1:
-            warn_caller(
-                f"the kernel file {text!r} is a part of {found[0]!r} now: the old name goes with the next version"
-            )
+            warn_renamed(f"the kernel file {text!r}", f"a part of {found[0]!r}")
     if len(found) > 1:
         raise InputError(f"several kernel files are called {text!r}: {', '.join(found)}")
     if not found:
@@ -119,22 +117,6 @@ def kernel_summary(name: str) -> str:
 def kernel_groups() -> list[str]:
     """The folders of kernel files, sorted, such as "coordinates"."""
     return sorted({name.partition("/")[0] for name in kernel_names()})
-
-
-@functools.cache
-def direct_needs(name: str) -> frozenset[str]:
-    """Names of the kernel files that a kernel file imports itself."""
-    return frozenset(_kernel_name(module) for module in _imports(f"kernels/{name}"))
-
-
-def all_needs(name: str) -> set[str]:
-    """Names of the kernel files that a kernel file needs, directly or through another, without itself."""
-    return {_kernel_name(module) for module in _closure([f"kernels/{name}"])} - {name}
-
-
-def host_modules(group: str) -> list[str]:
-    """The modules, such as "lattice/position_map", that the call in a kernel folder's README.md needs, sorted."""
-    return sorted(module for module in _closure(_call_imports(group)) if not module.startswith("kernels/"))
 
 
 def kernel_call(group: str) -> str:

@@ -117,11 +117,12 @@ def _report_new(
     if new:
         reports.report_compiling()
         reports.report_progress(progress, 0, len(new), "compile kernels")
-    _log.info("%s on %s: %s", "compiles kernels" if new else "loads kernels", device, ", ".join(new or _names(modules)))
-
-
-def _names(modules: Iterable[wp.Module]) -> list[str]:
-    return [module.name for module in modules]
+    _log.info(
+        "%s on %s: %s",
+        "compiles kernels" if new else "loads kernels",
+        device,
+        ", ".join(new or [each.name for each in modules]),
+    )
 
 
 def _unwritable(error: OSError) -> RuntimeError:
@@ -156,10 +157,5 @@ def _cache_cpu_target() -> None:
         get_version()
 
 
-def _forget_lock() -> None:
-    """A forked process may have a lock that a thread holds which it does not have."""
-    variants.lock = threading.RLock()
-
-
-if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork
-    os.register_at_fork(after_in_child=_forget_lock)
+if hasattr(os, "register_at_fork"):  # not on Windows; a thread that holds the lock is not in the forked process
+    os.register_at_fork(after_in_child=lambda: setattr(variants, "lock", threading.RLock()))

@@ -10,9 +10,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
 from ..coordinate_kinds import COORDINATE_KINDS, CoordinateKind, Coordinates
+from ..easings import EASING_KINDS
+from ..easings import Easing as Easing
 from ..errors import Error, InputError
 
 _Choice = TypeVar("_Choice")
+
+#: Letters of a value or a name that a message shows.
+MAX_SHOWN = 60
 
 #: Kinds of coordinates, as `coordinates=` takes them (coordinate_kinds.py).
 COORDINATES: tuple[str, ...] = tuple(COORDINATE_KINDS)
@@ -53,11 +58,9 @@ TRANSPARENT = "transparent"
 #: background layers that are fitted too, the scene's one colour, or whichever of these the pictures suggest.
 FIT_BACKGROUNDS = ("auto", "outer", "layers", "random", "constant")
 
-#: Easing from one key of a film to the next: one of these names, or a curve, `CURVE`, whose numbers are those of CSS's
-#: cubic-bezier (`core.checks.checked_easing`).
-EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out", "ease-in-out", "bounce", "elastic")
+#: Names of easings (easings.py), and what stands in place of one for a curve of one's own.
+EASINGS: tuple[str, ...] = tuple(EASING_KINDS)
 CURVE = '{"bezier": [x1, y1, x2, y2]}'
-Easing: TypeAlias = str | Mapping[str, Sequence[float]]
 
 #: Moves of a film's camera by name with their default amounts, and their help.
 MOVES = {"turn": 360.0, "dolly": 0.6, "crane": 25.0, "hand-held": 0.0, "follow": 0.0}
@@ -117,6 +120,28 @@ def older_keys(content: Any) -> Any:
     return [older_keys(value) for value in content] if isinstance(content, list) else content
 
 
+def listed(names: Iterable[Any], most: int = 8, *, none: str = "none") -> str:
+    """Names in a message, long ones cut: the first `most` of them, and how many more there are."""
+    texts = [str(name) for name in names]
+    return (", ".join(map(_cut, texts[:most])) or none) + (
+        f" and {len(texts) - most} more" if len(texts) > most else ""
+    )
+
+
+def shown(value: object) -> str:
+    """A value in a message: its `repr` in one line, cut where it is long."""
+    if isinstance(value, str):
+        value = value[: 2 * MAX_SHOWN]  # however long it is
+    try:
+        return _cut(" ".join(repr(value).split()))
+    except ValueError:  # a whole number of too many digits
+        return f"a number of type {type(value).__name__}"
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+
+
 def counted(count: int, noun: str, plural: str = "") -> str:
     """A count and its noun, such as "1 frame" or "2 frames"; an empty plural adds an "s"."""
     return f"{count} {agreed(count, noun, plural or f'{noun}s')}"
@@ -129,11 +154,21 @@ def agreed(count: int, one: str, several: str) -> str:
 
 def install_line(missing: str, root: str) -> str:
     """What an import without some of its needs says; missing: their names, root: the folder above the package."""
+    return f"warpcage needs {missing}: pip install {_checkout(root) or missing}"
+
+
+def extra_line(extra: str = "") -> str:
+    """The command that installs the package with an extra."""
+    name = f"[{extra}]" if extra else ""
+    # without a checkout the package is installed, and pip takes its extras from there: no index needs to know it
+    return f"pip install {_checkout(str(pathlib.Path(__file__).parents[2]), name) or repr(f'warpcage{name}')}"
+
+
+def _checkout(root: str, extras: str = "") -> str:
+    """What pip installs a checkout with all its dependencies by, those that are imported later too; "" for none."""
     import shlex
 
-    # a checkout installs all its dependencies, those that are imported later too
-    what = f"-e {shlex.quote(root)}" if os.path.isfile(os.path.join(root, "setup.py")) else missing
-    return f"warpcage needs {missing}: pip install {what}"
+    return f"-e {shlex.quote(root + extras)}" if os.path.isfile(os.path.join(root, "setup.py")) else ""
 
 
 def error_line(error: object, limit: int | None = None, *, named: bool = False, folders: bool = True) -> str:

@@ -66,7 +66,11 @@ def reports_progress(function: Decorated) -> Decorated:
 
     @functools.wraps(function)
     def reporting(*values: Any, **options: Any) -> Any:
+        import numpy as np  # as above
+
         progress = options.get("progress", default)
+        if isinstance(progress, np.bool_):
+            progress = bool(progress)
         if progress is None or progress is False or isinstance(progress, Reporter):  # the last: of a call around it
             return function(*values, **options | {"progress": progress or False})
         reporter = Reporter(progress)

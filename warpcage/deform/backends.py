@@ -30,7 +30,7 @@ from ..edits.falloff import FalloffBand
 from ..edits.fragments import found_fragments
 from ..edits.maps import EditLattices
 from ..errors import InputError
-from ..field.render import NEW_TARGET, RenderOptions, RenderTarget, field_view
+from ..field.render import NEW_TARGET, FieldView, RenderOptions, RenderTarget
 from ..field.voxel_field import VoxelField
 from ..kernels.render import samples
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
@@ -42,7 +42,6 @@ from ..render.scene import PosedScene
 from ..render.surface_mesh import SurfaceMesh
 from ..render.view import PosedEdits, cage_span, require_short_march
 from ..splats.matter import SplatDensity
-from ..splats.render import render_field
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
@@ -91,6 +90,12 @@ class Backend(abc.ABC, Generic[FieldT, EditsT]):
         self._spans: list[float] = []  # of its cages
         self._order = StreamOrder(self.device)
         self._order.follow()
+        self.bands = [None] * len(edits)
+        self.posed = self._make_edits(progress)
+
+    @abc.abstractmethod
+    def _make_edits(self, progress: bool | Progress) -> EditsT:
+        """The edits on the device; sets `bands` too. Raises ValueError for edits that such fields do not have."""
 
     @classmethod
     @abc.abstractmethod
@@ -109,6 +114,10 @@ class Backend(abc.ABC, Generic[FieldT, EditsT]):
             self.posed.pose(cages)
             self._held, self._spans = cages, [cage_span(cage) for cage in cages]
         return self.posed
+
+    @classmethod
+    def check_view(cls, options: RenderOptions) -> None:
+        """Refuse options of a frame that this kind of field does not have."""
 
     @abc.abstractmethod
     def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
@@ -163,6 +172,11 @@ class LookupBackend(Backend[LookupT, PosedEdits]):
         if options.resolution is None and options.store != "map":
             raise InputError('store="weights" keeps weights on a lattice: give a resolution')
 
+    @classmethod
+    def check_view(cls, options: RenderOptions) -> None:
+        if options.antialias:
+            raise InputError("antialias is for splats: voxels take more rays a pixel (supersampling)")
+
     def to_canonical(
         self, cages: Cages, points: Any, directions: Any, step: float | None, return_outside: bool
     ) -> tuple[Any, ...]:
@@ -177,25 +191,21 @@ class VoxelBackend(LookupBackend[VoxelField]):
 
     kind, masks = VoxelField, MASK_NAMES
 
-    def __init__(
-        self, field: VoxelField, edits: list[CageEdit], options: MapOptions, progress: bool | Progress = False
-    ):
-        super().__init__(field, edits, options)
+    def _make_edits(self, progress: bool | Progress) -> PosedEdits:
+        field, edits, options = self.field, self.edits, self.options
         origin, device, coordinates = field.center, field.device, options.coordinates
         self.bands = [FalloffBand(edit, field) if edit.falloff > 0.0 else None for edit in edits]
         self._carried = [found_fragments(edit, field, index) for index, edit in enumerate(edits)]
         if options.resolution is None:
-            self.posed = ExactEdits(edits, coordinates, origin, device, self.bands, self._carried)
-        else:
-            load_pose_modules(coordinates, render_modules(device, len(edits), any(self._carried)), device, progress)
-            kept = options.store, self.bands, self._carried
-            scene = PosedScene(EditLattices(edits, coordinates, options.resolution, origin, device, *kept))
-            scene.warm(field)
-            self.posed = scene
+            return ExactEdits(edits, coordinates, origin, device, self.bands, self._carried)
+        load_pose_modules(coordinates, render_modules(device, len(edits), any(self._carried)), device, progress)
+        kept = options.store, self.bands, self._carried
+        scene = PosedScene(EditLattices(edits, coordinates, options.resolution, origin, device, *kept))
+        scene.warm(field)
+        return scene
 
     def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
-        _refuse_antialias(options)
-        view = field_view(self.field, camera, options, MASK_NAMES, target)
+        view = FieldView(self.field, camera, options, MASK_NAMES, target)
         posed = self.hold(cages)
         require_short_march(self._spans, view.step)
         return posed.render(view, self.arc_opacity)
@@ -204,34 +214,21 @@ class VoxelBackend(LookupBackend[VoxelField]):
         return [each.bounds for each in self._carried if each is not None and each.bounds is not None]
 
 
-def _refuse_antialias(options: RenderOptions) -> None:
-    """Refuse antialiasing of what is marched through."""
-    if options.antialias:
-        raise InputError("antialias is for splats: voxels take more rays a pixel (supersampling)")
-
-
 class SampledBackend(LookupBackend[SampledField]):
     """A field of another representation, whose samples its function returns."""
 
     kind = SampledField
 
-    def __init__(
-        self, field: SampledField, edits: list[CageEdit], options: MapOptions, progress: bool | Progress = False
-    ):
+    def _make_edits(self, progress: bool | Progress) -> PosedEdits:
+        edits, options, origin, device = self.edits, self.options, self.field.center, self.device
         if any(edit.falloff > 0.0 or edit.fragments > 0.0 for edit in edits):
             raise InputError("falloff and fragments of an edit are for voxels, not for a SampledField")
-        super().__init__(field, edits, options)
-        self.bands = list[FalloffBand | None]([None] * len(edits))
-        origin, device = field.center, field.device
         if options.resolution is None:
-            self.posed = ExactEdits(edits, options.coordinates, origin, device)
-        else:
-            load_pose_modules(options.coordinates, [samples], device, progress)
-            lattices = EditLattices(edits, options.coordinates, options.resolution, origin, device, options.store)
-            self.posed = PosedScene(lattices)
+            return ExactEdits(edits, options.coordinates, origin, device)
+        load_pose_modules(options.coordinates, [samples], device, progress)
+        return PosedScene(EditLattices(edits, options.coordinates, options.resolution, origin, device, options.store))
 
     def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
-        _refuse_antialias(options)
         self.hold(cages)
         require_short_march(self._spans, self.field.step if options.step is None else options.step)
         sample = functools.partial(self.sample, cages)
@@ -243,18 +240,14 @@ class SplatBackend(Backend[SplatField, SplatEdits]):
 
     kind = SplatField
 
-    def __init__(
-        self, field: SplatField, edits: list[CageEdit], options: MapOptions, progress: bool | Progress = False
-    ):
+    def _make_edits(self, progress: bool | Progress) -> SplatEdits:
+        field, edits, options = self.field, self.edits, self.options
         if any(edit.fragments > 0.0 for edit in edits):
             raise InputError("fragments are for voxels: splats of a part that hang over its wall go by their shares")
-        super().__init__(field, edits, options)
         self.bands = [splat_band(field, edit) if edit.falloff > 0.0 else None for edit in edits]
         law = chosen(options.density, "density", opacity=LAW_RAYS, paper=LAW_DENSITY)
-        is_backward = options.map == "backward"
-        self.posed = SplatEdits(
-            field, edits, options.coordinates, options.resolution, law, is_backward, self.bands, progress
-        )
+        lattices = options.coordinates, options.resolution
+        return SplatEdits(field, edits, *lattices, law, options.map == "backward", self.bands, progress)
 
     @classmethod
     def check(cls, options: MapOptions) -> None:
@@ -262,10 +255,13 @@ class SplatBackend(Backend[SplatField, SplatEdits]):
         if options.map is not None:
             checked_choice(options.map, "map", SPLAT_MAPS)
 
-    def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
+    @classmethod
+    def check_view(cls, options: RenderOptions) -> None:
         if options.step is not None:
             raise InputError("splats are not marched through: leave step out")
-        return render_field(self.field, self.hold(cages).posed, camera, options, target)
+
+    def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
+        return self.field._render(camera, options, target, self.hold(cages).posed)
 
 
 def splat_band(field: SplatField, edit: CageEdit) -> FalloffBand:
@@ -328,14 +324,10 @@ class MeshBackend(Backend[SurfaceMesh, MeshEdits]):
 
     kind = SurfaceMesh
 
-    def __init__(
-        self, field: SurfaceMesh, edits: list[CageEdit], options: MapOptions, progress: bool | Progress = False
-    ):
-        if any(edit.falloff > 0.0 or edit.fragments > 0.0 for edit in edits):
+    def _make_edits(self, progress: bool | Progress) -> MeshEdits:
+        if any(edit.falloff > 0.0 or edit.fragments > 0.0 for edit in self.edits):
             raise InputError("falloff and fragments of an edit are for fields: a vertex of a mesh goes with its cage")
-        super().__init__(field, edits, options)
-        self.bands = [None] * len(edits)
-        self.posed = MeshEdits(field, edits, options.coordinates)
+        return MeshEdits(self.field, self.edits, self.options.coordinates)
 
     @classmethod
     def check(cls, options: MapOptions) -> None:
@@ -343,9 +335,12 @@ class MeshBackend(Backend[SurfaceMesh, MeshEdits]):
         if options.map not in (None, "forward"):
             raise InputError(f'vertices of a mesh move forward: map must be "forward" or None, got {options.map!r}')
 
-    def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
+    @classmethod
+    def check_view(cls, options: RenderOptions) -> None:
         if options.step is not None or options.antialias is not None:
             raise InputError("step is for voxels and antialias for splats: meshes take more rays (supersampling)")
+
+    def render(self, cages: Cages, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
         return self.hold(cages).mesh._render(camera, options, target)
 
     def _carried_boxes(self) -> list[np.ndarray]:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Generic, cast, overload
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import PointsLike
@@ -20,7 +19,7 @@ from ..core.reports import Progress, reports_progress
 from ..core.threads import owner_lock
 from ..edits.edits import checked_edits
 from ..errors import InputError
-from ..field.render import RenderOptions
+from ..field.render import PoseKeywords, RenderOptions, render_options, takes_options
 from ..mesh.validity import is_usable
 from ..render.view import PosedEdits
 from ..splats.splat_field import SplatField
@@ -29,7 +28,7 @@ from ..view.frame import Frame, Frames
 from .backends import AnyBackend, FieldT, MapOptions, backend_of
 from .poses import PoseLike, RestLike, inverse_error
 from .splat_baking import baked_field, write_sequence
-from .views import ViewOptions, render_pose, render_poses
+from .views import ViewKeywords, render_pose, render_poses
 
 if TYPE_CHECKING:
     from typing_extensions import Self, Unpack  # of the type checker
@@ -57,25 +56,29 @@ class PosedDeformer(Generic[FieldT]):
             return shared._backend.sample(self.deformed, points, directions, step)
 
     @overload
-    def render(self, camera: Camera, **options: Unpack[ViewOptions]) -> Frame: ...
+    def render(self, camera: Camera, **options: Unpack[ViewKeywords]) -> Frame: ...
     @overload
-    def render(self, camera: Sequence[Camera], **options: Unpack[ViewOptions]) -> Frames: ...
+    def render(self, camera: Sequence[Camera], **options: Unpack[ViewKeywords]) -> Frames: ...
     def render(
         self,
         camera: Camera | Sequence[Camera],
         *,
-        background: str | ArrayLike | None = None,
-        step: float | None = None,
-        supersampling: int | None = None,
-        antialias: bool | None = None,
         outputs: str | Sequence[str] = (),
         flow_pose: PoseLike | Sequence[PoseLike | None] | None = None,
         flow_camera: Camera | Sequence[Camera] | None = None,
+        **options: Any,
     ) -> Frame | Frames:
         """The view of a camera, or those of several, of the scene in this pose; see `Deformer.render`."""
-        shared, options = self.deformer, RenderOptions(background, supersampling, antialias, step)
+        shared, chosen = self.deformer, render_options(options, ViewKeywords)
+        shared._backend.check_view(chosen)
         with shared.lock:
-            return render_pose(shared._backend, self.deformed, camera, options, outputs, flow_pose, flow_camera)
+            return render_pose(shared._backend, self.deformed, camera, chosen, outputs, flow_pose, flow_camera)
+
+    def _render(self, camera: Camera, options: RenderOptions) -> Frame:
+        """The view of a camera; options of other kinds of fields do nothing."""
+        shared = self.deformer
+        with shared.lock:
+            return shared._backend.render(self.deformed, camera, options)
 
 
 class Deformer(HeldOnDevice, Generic[FieldT]):
@@ -307,35 +310,21 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
             return PosedDeformer(self, self._posed_cages()).sample(points, directions, step=step)
 
     @overload
-    def render(self, camera: Camera, **options: Unpack[ViewOptions]) -> Frame: ...
+    def render(self, camera: Camera, **options: Unpack[ViewKeywords]) -> Frame: ...
     @overload
-    def render(self, camera: Sequence[Camera], **options: Unpack[ViewOptions]) -> Frames: ...
-    def render(
-        self,
-        camera: Camera | Sequence[Camera],
-        *,
-        background: str | ArrayLike | None = None,
-        step: float | None = None,
-        supersampling: int | None = None,
-        antialias: bool | None = None,
-        outputs: str | Sequence[str] = (),
-        flow_pose: PoseLike | Sequence[PoseLike | None] | None = None,
-        flow_camera: Camera | Sequence[Camera] | None = None,
-    ) -> Frame | Frames:
+    def render(self, camera: Sequence[Camera], **options: Unpack[ViewKeywords]) -> Frames: ...
+    @takes_options(PoseKeywords)
+    def render(self, camera: Camera | Sequence[Camera], **options: Unpack[ViewKeywords]) -> Frame | Frames:
         """The view of a camera of the deformed scene, with the masks reveal, fold and outside; or those of several.
 
         Args:
             camera: The camera; or cameras of one size, whose views are launched without waiting for the host.
-            background: Colour behind the scene, a name or (3,) in [0, 1]. None is the field's own; its background model
-                stays where it is however the cages move, and shows where they clear.
-            step: March step, world units, at least 1e-5 of the field's diagonal. None is the field's.
-            supersampling: Rays along each side of a pixel. None is the field's.
-            antialias: Splats only: weaken those that the blur of the picture makes larger; see `SplatField.render`.
-                None is the field's own.
             outputs: Voxels only: outputs beside colour, opacity, depth and masks, by names of Frame's properties:
                 "canonical", "flow", "instance".
             flow_pose: Pose to which "flow" goes, as `pose` takes them. None is the pose of the view.
             flow_camera: Camera to which "flow" goes, one for all views or one each. None is the camera of the view.
+            options: These, and options of the frame by keyword, see docs/python.md. A background model stays where it
+                is however the cages move, and shows where they clear.
 
         Returns:
             The frame, its arrays on the device; the Frames of several cameras, in one allocation there.
@@ -347,29 +336,23 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
                 known, and flow without `flow_pose` or `flow_camera`.
         """
         with self.lock:
-            return PosedDeformer(self, self._posed_cages()).render(
-                camera,
-                background=background,
-                step=step,
-                supersampling=supersampling,
-                antialias=antialias,
-                outputs=outputs,
-                flow_pose=flow_pose,
-                flow_camera=flow_camera,
-            )
+            return PosedDeformer(self, self._posed_cages()).render(camera, **options)
 
+    def _render(self, camera: Camera, options: RenderOptions) -> Frame:
+        """As that of a PosedDeformer."""
+        with self.lock:
+            return PosedDeformer(self, self._posed_cages())._render(camera, options)
+
+    @takes_options(PoseKeywords)
     def render_poses(
         self,
         poses: Sequence[PoseLike | Sequence[PoseLike | None]] | PointsLike,
         camera: Camera | Sequence[Camera],
         *,
-        background: str | ArrayLike | None = None,
-        step: float | None = None,
-        supersampling: int | None = None,
-        antialias: bool | None = None,
         outputs: str | Sequence[str] = (),
         flow_poses: Sequence[PoseLike | Sequence[PoseLike | None]] | PointsLike | None = None,
         flow_camera: Camera | Sequence[Camera] | None = None,
+        **options: Unpack[PoseKeywords],
     ) -> Frames:
         """The view of a camera of each of several poses; the current pose stays.
 
@@ -377,13 +360,10 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
             poses: What `pose` takes for each view; for one edit also vertices (n, v, 3), world units, as an array of
                 any library.
             camera: The camera, or one for each pose, of one size.
-            background: As for `render`.
-            step: As for `render`.
-            supersampling: As for `render`.
-            antialias: As for `render`.
             outputs: As for `render`.
             flow_poses: As many poses, to which "flow" goes. None is each view's own.
             flow_camera: As for `render`.
+            options: Options of the frames by keyword, see docs/python.md.
 
         Returns:
             The Frames, in one allocation on the device.
@@ -391,9 +371,10 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
         Raises:
             ValueError: As `pose` and `render`, and for other numbers of poses and cameras.
         """
-        options = RenderOptions(background, supersampling, antialias, step)
+        chosen = render_options(options, PoseKeywords)
+        self._backend.check_view(chosen)
         with self.lock:
-            return render_poses(self._backend, poses, camera, options, outputs, flow_poses, flow_camera)
+            return render_poses(self._backend, poses, camera, chosen, outputs, flow_poses, flow_camera)
 
     def posed_splats(self) -> Any:
         """Splats only: those of the last pose, for kernels (kernels/splats/splats.py), relative to `field.center`.

@@ -18,7 +18,7 @@ from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import CarriedFragments
 from ..edits.maps import EditLattices, cell_shape
-from ..field.render import FieldView, finish_frame
+from ..field.render import FieldView
 from ..kernels.edits import cell_tables, trace
 from ..kernels.edits.structs import CellTable, ExactEdit
 from ..kernels.render.views import exact_kernel
@@ -90,7 +90,7 @@ class ExactEdits(PosedEdits):
         grid = marching.marched if view.target.is_again else marching.grid()
         self.prepare(grid, view.step)
         self.launcher.march(exact_kernel(), [grid, self.array], target, work=self.sample_work)
-        return finish_frame(view, target.arrays)
+        return view.finished(target.arrays)
 
     def _struct(
         self,

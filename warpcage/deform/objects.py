@@ -26,17 +26,11 @@ def field_of(scene_object: SceneObject | PosedDeformer) -> Any:
 
 
 def render_object(scene_object: SceneObject | PosedDeformer, camera: Camera, options: RenderOptions) -> Frame:
-    """The view of a camera of an object; options that its kind does not have are left out."""
-    field = field_of(scene_object)
-    chosen: dict[str, Any] = {"background": options.background, "supersampling": options.supersampling}
-    if isinstance(field, SplatField):
-        chosen["antialias"] = options.antialias
-    elif isinstance(field, VoxelField) and options.step_scale != 1.0:
-        chosen["step"] = options.step_scale * field.step
-    frame = scene_object.render(camera, **chosen)
+    """The view of a camera of an object; options that its kind does not have do nothing."""
+    frame = scene_object._render(camera, options)
     if not options.fill or frame.reveal is None:
         return frame
-    return fill_unseen(frame, require_voxels(field, "fill"), camera)
+    return fill_unseen(frame, require_voxels(field_of(scene_object), "fill"), camera)
 
 
 def require_voxels(field: AnyObject, name: str) -> VoxelField:

@@ -1,17 +1,13 @@
-"""`SplatDeformer`, the name of a Deformer of splats up to version 0.2; it goes with version 0.4."""
+"""`SplatDeformer`, the name of a Deformer of splats up to version 0.2."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from ..core.checks import require_type, warn_caller
+from ..core.checks import require_type, warn_renamed
 from ..splats.splat_field import SplatField
 from .deformer import Deformer
 from .poses import RestLike
-
-
-def _warn() -> None:
-    warn_caller("SplatDeformer is Deformer now, whose field is a SplatField; the old name goes with warpcage 0.4")
 
 
 class _DeformersOfSplats(type):
@@ -20,7 +16,7 @@ class _DeformersOfSplats(type):
     def __instancecheck__(cls, instance: Any) -> bool:
         if cls is not SplatDeformer:
             return super().__instancecheck__(instance)
-        _warn()
+        warn_renamed("SplatDeformer", "Deformer")
         return isinstance(instance, Deformer) and isinstance(instance.field, SplatField)
 
 
@@ -43,6 +39,6 @@ class SplatDeformer(Deformer[SplatField], metaclass=_DeformersOfSplats):
     """
 
     def __init__(self, field: SplatField, rest: RestLike, **options: Any):
-        _warn()
+        warn_renamed("SplatDeformer", "Deformer")
         require_type(field, SplatField, "a SplatDeformer needs")
         super().__init__(field, rest, **options)

@@ -14,12 +14,8 @@ from ..core.devices import lane_count, launch
 from ..core.reports import Progress
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand, set_gap_remedies
-from ..kernels.splats import pose
-from ..kernels.splats import pose as follow
-from ..kernels.splats import pose as invert
+from ..kernels.splats import pose, split
 from ..kernels.splats import splats as inside
-from ..kernels.splats import split as fade
-from ..kernels.splats import split as splits
 from ..kernels.splats.pose import CarriedSplats
 from ..kernels.splats.splats import Splats
 from ..lattice.position_map import PositionMap
@@ -103,12 +99,12 @@ class BoundEdit:
             return True
         return not np.array_equal(cage.vertices, self.edit.cage.vertices)
 
-    def carry(self, cage: Cage | None, carried: Any, split: wp.array | None) -> None:
+    def carry(self, cage: Cage | None, carried: Any, bent: wp.array | None) -> None:
         """Take the splats through a pose of this edit, behind the edits before; cage: None for an edit that removes.
-        split: (nodes,) uint8 that takes which splats are bent, or None where none can be."""
+        bent: (nodes,) uint8 that takes which splats are bent, or None where none can be."""
         owner, edit = self.owner, self.edit
         if cage is None:
-            self._launch_in(edit.cage, follow.clear_inside, CLEARED, [], carried)
+            self._launch_in(edit.cage, pose.clear_inside, CLEARED, [], carried)
             return
         if not self.carries(cage):
             self._launch_in(cage, inside.cover_staying, LEFT, [self.outside], carried)
@@ -120,12 +116,12 @@ class BoundEdit:
                 walls = band.on_device(cage, owner.origin, owner.device)
                 if walls.width > 0.0:
                     inputs = [bound, owner.centers, walls, carried]
-                    launch(fade.fade_carried, bound.size, inputs, device=owner.device)
+                    launch(split.fade_carried, bound.size, inputs, device=owner.device)
             if (position_map := owner.maps[self.index]) is not None:
                 self._invert(position_map, cage, carried)
-        if split is not None and self.bends[0].size:
+        if bent is not None and self.bends[0].size:
             inputs = [*self.bends, owner.centers, BEND_TOLERANCE * edit.cage.size, carried]
-            launch(splits.measure_bends, self.bends[0].size, inputs, [split], device=owner.device)
+            launch(split.measure_bends, self.bends[0].size, inputs, [bent], device=owner.device)
         self._launch_in(cage, inside.cover_staying, LEFT, [self.outside], carried, vertices)
         if self.members[FOLLOWED].size:
             self._follow(cage, carried)
@@ -158,7 +154,7 @@ class BoundEdit:
         options = {"coordinates": owner.coordinates, "resolution": owner.resolution or RESOLUTION}
         forward = PositionMap(cage, **options, origin=owner.origin, device=owner.device).pose(edit.cage)
         extra = [self.ways, forward.data, SURFACE_TOLERANCE * edit.cage.size]
-        self._launch_in(cage, follow.follow_map, FOLLOWED, extra, carried)
+        self._launch_in(cage, pose.follow_map, FOLLOWED, extra, carried)
 
     def _invert(self, position_map: PositionMap, cage: Cage, carried: Any) -> None:
         """Put the bound splats where the voxels' map finds them."""
@@ -166,7 +162,7 @@ class BoundEdit:
         backward = position_map.pose(cage).data
         bound = self.members[BOUND]
         inputs = [bound, self.targets, backward, SURFACE_TOLERANCE * cage.size, CLOSE * size, carried]
-        launch(invert.invert_map, bound.size, inputs, [self.missed], device=owner.device, work=200)
+        launch(pose.invert_map, bound.size, inputs, [self.missed], device=owner.device, work=200)
 
 
 class SplatEdits:
@@ -209,11 +205,11 @@ class SplatEdits:
         has_pieces = bool((self.tree.pieces >= 0).any())
         self._split = wp.zeros(len(self.tree.rows), dtype=wp.uint8, device=device) if has_pieces else None
         self._hidden = wp.zeros(count if has_pieces else 0, dtype=wp.uint8, device=device)
-        self._carried = CarriedSplats()
-        self._carried.positions = empty_array(count, wp.vec3, device)
-        self._carried.jacobians = empty_array(count, wp.mat33, device)
-        self._carried.shares = empty_array(count, wp.float32, device)
-        launch(pose.start_splats, count, [self.centers, self._carried], device=device)
+        self.carried = CarriedSplats()  # of the last pose that was not at rest
+        self.carried.positions = empty_array(count, wp.vec3, device)
+        self.carried.jacobians = empty_array(count, wp.mat33, device)
+        self.carried.shares = empty_array(count, wp.float32, device)
+        launch(pose.start_splats, count, [self.centers, self.carried], device=device)
         self._ready = False
         self._bound = [BoundEdit(edit, self, index, progress) for index, edit in enumerate(edits)]
         self._posed = self._empty_splats(count)
@@ -296,15 +292,15 @@ class SplatEdits:
         if not self._ready:
             self._rewind()
         if not all(moving):  # what another pose has moved is at rest, and nothing writes its place anew
-            launch(pose.start_splats, count, [self.centers, self._carried], device=device)
+            launch(pose.start_splats, count, [self.centers, self.carried], device=device)
         self._ready = False
         for bound, cage in zip(self._bound, cages, strict=True):
-            bound.carry(cage, self._carried, self._split)
+            bound.carry(cage, self.carried, self._split)
         if self._split is not None:
             inputs = [self._nodes, self._parents, self._split]
-            launch(splits.hide_splats, count, inputs, [self._hidden], device=device)
+            launch(split.hide_splats, count, inputs, [self._hidden], device=device)
         out = self._posed
-        inputs = [self._law, self.covariances, self._opacities, self._hidden, self._carried]
+        inputs = [self._law, self.covariances, self._opacities, self._hidden, self.carried]
         outputs = [out.centers, out.covariances, out.opacities, out.turns]
         launch(pose.finish_splats, count, inputs, outputs, device=device)
         self.posed = out
@@ -312,15 +308,10 @@ class SplatEdits:
 
     def _rewind(self) -> None:
         """Whole shares, and nothing split: ahead of the next pose, as its first launches are waited for."""
-        wp.copy(self._carried.shares, self._shares)
+        wp.copy(self.carried.shares, self._shares)
         if self._split is not None:
             self._split.zero_()
         self._ready = True
-
-    @property
-    def carried(self) -> Any:
-        """The CarriedSplats of the last pose that was not at rest."""
-        return self._carried
 
     @property
     def missed_count(self) -> int:

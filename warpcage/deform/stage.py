@@ -6,7 +6,7 @@ import dataclasses
 import os
 import pathlib
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -17,14 +17,13 @@ from ..core.arrays import box_corners, empty_array
 from ..core.checks import checked_flag, checked_number, checked_path, checked_whole, listed, renamed, require_type
 from ..core.devices import HeldOnDevice, launch, resolve_device
 from ..core.files import PathLike, require_file
-from ..core.names import TRANSPARENT
 from ..core.threads import in_turn
 from ..edits.edits import CageEdit
 from ..edits.place import Place, PlaceFile, as_places, seen_from
 from ..edits.stage_file import deformation_json, read_deformation, read_stage_file, write_stage_file
 from ..errors import InputError
 from ..field.mixing import mixed_field
-from ..field.render import RenderOptions, picture_arrays
+from ..field.render import RenderOptions, StageKeywords, View, picture_arrays, render_options, takes_options
 from ..field.voxel_field import VoxelField
 from ..kernels.view.compose import compose_objects
 from ..render.surface_mesh import SurfaceMesh, load_object
@@ -32,10 +31,13 @@ from ..splats.io.axes import placed
 from ..splats.io.contents import joined
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
-from ..view.frame import MASK_NAMES, PART_NAMES, Frame, average_frame, finer_camera, part_type
+from ..view.frame import MASK_NAMES, PART_NAMES, Frame, part_type
 from .bake import MAX_RESOLUTION, STAND_IN_RESOLUTION, bake
 from .deformer import Deformer
 from .objects import SceneObject, field_of, render_object
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack  # of the type checker
 
 #: Cells of the lattice on which a field without edits is moved: a similarity is exact on any.
 PLACING_CELLS = 16
@@ -230,24 +232,13 @@ class Stage(HeldOnDevice):
         item = next(iter(self._shown().values()))
         return self._placed(item).rotation @ item.field.up
 
-    def render(
-        self,
-        camera: Camera,
-        *,
-        background: str | ArrayLike | None = None,
-        supersampling: int | None = None,
-        antialias: bool | None = None,
-        step_scale: float = 1.0,
-    ) -> Frame:
+    @takes_options(StageKeywords)
+    def render(self, camera: Camera, **options: Unpack[StageKeywords]) -> Frame:
         """The view of a camera of all that is not hidden, at `time`.
 
         Args:
             camera: The camera, in the coordinates of the stage.
-            background: Colour behind the scene, a name or (3,) in [0, 1]. None is what lies around the first object
-                that has surroundings, or else the first object's own colour.
-            supersampling: Rays along each side of a pixel. None is the largest of the objects' own; of meshes two.
-            antialias: Splats only; see `SplatField.render`. None is each field's own.
-            step_scale: Voxels only: factor on each field's own march step, above 0. More than 1 is faster and coarser.
+            options: Options of the frame by keyword, see docs/python.md.
 
         Returns:
             The frame, its arrays on the device. Depth is in world units of the stage, the mean over objects by the
@@ -256,31 +247,34 @@ class Stage(HeldOnDevice):
         Raises:
             ValueError: For a stage that shows nothing, and as `Deformer.render`.
         """
-        require_type(camera, Camera, "render needs")
-        options = RenderOptions(background, supersampling, antialias, step_scale=step_scale)
+        return self._render(camera, render_options(options, StageKeywords))
+
+    def _render(self, camera: Camera, options: RenderOptions) -> Frame:
+        """See `render`."""
         items = list(self._shown().values())
         sides = [each.field.supersampling for each in items if not isinstance(each.field, SplatField)]
-        side = options.side(max(sides, default=1))
-        fine = finer_camera(camera, side)
         around = next((each for each in items if each.field.background_model is not None), None)
-        model = None if around is None or background is not None else around.field.background_model
+        model = None if around is None or options.background is not None else around.field.background_model
         color = options.color(items[0].field.background if model is None else np.zeros(3, np.float32))
-        alone = dataclasses.replace(options, background=TRANSPARENT, supersampling=1)
-        frames = [render_object(item.scene_object, seen_from(self._placed(item), fine), alone) for item in items]
+        assert self.device is not None
+        view = View(camera, options, color, max(sides, default=1), self.device)
+        cameras = [seen_from(self._placed(item), view.rays) for item in items]
+        alone = options.of_object()
+        frames = [render_object(item.scene_object, each, alone) for item, each in zip(items, cameras, strict=True)]
         scales = [self._placed(item).scale for item in items]
         unit = None if around is None or model is None else self._placed(around).scale
-        frame, depth = self._composed(frames, scales, color, unit)
+        arrays, depth = self._composed(frames, scales, color, unit)
         if around is not None and model is not None:
-            masks = [array for name, array in frame.arrays.items() if name not in PART_NAMES]
-            view, (rgb, alpha) = seen_from(self._placed(around), fine), (frame.arrays["rgb"], frame.arrays["alpha"])
-            model.add_around(view, rgb, alpha, depth, masks)
-        return average_frame(frame, side).seen_by(camera, None if model else color, background)
+            masks = [array for name, array in arrays.items() if name not in PART_NAMES]
+            model.add_around(seen_from(self._placed(around), view.rays), arrays["rgb"], arrays["alpha"], depth, masks)
+        return view.finished(arrays, is_layered=model is not None)
 
     @in_turn
     def _composed(
         self, frames: Sequence[Frame], scales: Sequence[float], color: np.ndarray, unit: float | None
-    ) -> tuple[Frame, wp.array]:
-        """Frames of several objects as one before a colour, and its depth in units; an empty array for None of them."""
+    ) -> tuple[dict[str, Any], wp.array]:
+        """The arrays of frames of several objects as one before a colour, and its depth in units; an empty array for
+        None of them."""
         assert self.device is not None
         device, count, objects = self.device, frames[0].width * frames[0].height, len(frames)
         names = [name for name in MASK_NAMES if any(name in frame.arrays for frame in frames)]
@@ -300,8 +294,7 @@ class Stage(HeldOnDevice):
         behind, stacked = wp.vec3(*map(float, color)), [array.reshape((objects, count)) for array in seen.values()]
         inputs = [sizes, behind, unit or 1.0, *stacked, masks.reshape((len(names), objects, count))]
         launch(compose_objects, count, inputs, [*(made[name] for name in PART_NAMES), around, mask], device=device)
-        made |= {name: mask[place] for place, name in enumerate(names)}
-        return Frame(frames[0].width, frames[0].height, **made), around
+        return made | {name: mask[place] for place, name in enumerate(names)}, around
 
     def save(self, path: PathLike) -> None:
         """Write the stage as one file: places, cages and poses in it, fields by the names of theirs.

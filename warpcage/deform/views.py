@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import array_view, as_host_array, empty_array, is_device_array, local_points, struct_array
@@ -17,7 +15,7 @@ from ..core.checks import require_type, shown
 from ..core.devices import launch
 from ..core.names import checked_choice
 from ..errors import InputError
-from ..field.render import RenderOptions, RenderTarget, picture_arrays
+from ..field.render import PoseKeywords, RenderOptions, RenderTarget, picture_arrays
 from ..kernels.render.pixels import MovedCage, find_flow, follow_kernel, trace_kernel
 from ..mesh.mesh import prepared_fans
 from ..render.view import PosedEdits
@@ -34,28 +32,12 @@ CLOSE = 1e-4
 FOLLOW_WORK = 200
 
 
-class ViewOptions(TypedDict, total=False):
-    """Options of `Deformer.render` by their names, for type checkers."""
+class ViewKeywords(PoseKeywords, total=False):
+    """What `Deformer.render` takes by keyword."""
 
-    background: str | ArrayLike | None
-    step: float | None
-    supersampling: int | None
-    antialias: bool | None
     outputs: str | Sequence[str]
     flow_pose: PoseLike | Sequence[PoseLike | None] | None
     flow_camera: Camera | Sequence[Camera] | None
-
-
-@dataclasses.dataclass(frozen=True)
-class Views:
-    """The views of one call, each with its pose."""
-
-    cameras: Sequence[Camera]
-    poses: Sequence[list[Cage | None]]  # of each view
-    options: RenderOptions
-    names: Sequence[str]  # of OUTPUT_NAMES
-    flow_poses: Sequence[list[Cage | None]]  # to which flow goes; empty where it stays in each view's own
-    flow_cameras: Sequence[Camera]  # empty without flow
 
 
 def render_pose(
@@ -75,7 +57,7 @@ def render_pose(
     count = len(cameras)
     poses = [] if flow_pose is None else count * [backend.checked(flow_pose)]
     aims = checked_aims(cameras, flow_camera, names)
-    frames = render_views(backend, Views(cameras, count * [cages], options, names, poses, aims))
+    frames = render_views(backend, cameras, count * [cages], options, names, poses, aims)
     return frames if is_several(camera) else frames[0]
 
 
@@ -96,7 +78,7 @@ def render_poses(
     if flow_poses is not None and len(others) != len(cages):
         raise InputError(f"there must be as many flow_poses as poses, {len(cages)}, got {len(others)}")
     aims = checked_aims(cameras, flow_camera, names)
-    return render_views(backend, Views(cameras, cages, options, names, others, aims))
+    return render_views(backend, cameras, cages, options, names, others, aims)
 
 
 def listed_poses(poses: Any) -> list[Any]:
@@ -146,9 +128,17 @@ def checked_outputs(backend: AnyBackend, outputs: str | Sequence[str], flows: bo
     return names
 
 
-def render_views(backend: AnyBackend, views: Views) -> Frames:
+def render_views(
+    backend: AnyBackend,
+    cameras: Sequence[Camera],
+    poses: Sequence[list[Cage | None]],  # of each view
+    options: RenderOptions,
+    names: Sequence[str],  # of OUTPUT_NAMES
+    flow_poses: Sequence[list[Cage | None]],  # to which flow goes; empty where it stays in each view's own
+    flow_cameras: Sequence[Camera],  # empty without flow
+) -> Frames:
     """The views, in one allocation; needs the lock. Between those of one pose the host waits for nothing."""
-    sizes = [(camera.width, camera.height) for camera in views.cameras]
+    sizes = [(camera.width, camera.height) for camera in cameras]
     other = next((number for number, size in enumerate(sizes) if size != sizes[0]), None)
     if other is not None:
         one, two = ("x".join(map(str, sizes[number])) for number in (0, other))
@@ -156,25 +146,25 @@ def render_views(backend: AnyBackend, views: Views) -> Frames:
     count, pixels = len(sizes), math.prod(sizes[0])
     device = backend.device
     parts = (*PART_NAMES, *backend.masks)
-    arrays = picture_arrays(count * pixels, (*parts, *views.names), device)
-    tracks = count * pixels if views.flow_poses else 0  # pixels that are followed to another pose
+    arrays = picture_arrays(count * pixels, (*parts, *names), device)
+    tracks = count * pixels if flow_poses else 0  # pixels that are followed to another pose
     scratch = {"places": empty_array(tracks, wp.vec3, device), "paths": empty_array(tracks, wp.int32, device)}
     slices = [_parts_of({**arrays, **scratch}, pixels, number) for number in range(count)]
     frames = []
-    for number, (camera, cages) in enumerate(zip(views.cameras, views.poses, strict=True)):
+    for number, (camera, cages) in enumerate(zip(cameras, poses, strict=True)):
         target = RenderTarget({name: slices[number][name] for name in parts}, is_again=number > 0)
-        frame = backend.render(cages, camera, views.options, target)
-        if tracks or {"canonical", "instance"} & set(views.names):
+        frame = backend.render(cages, camera, options, target)
+        if tracks or {"canonical", "instance"} & set(names):
             _trace(backend, backend.hold(cages), camera, slices[number])
-        frame.arrays.update({name: slices[number][name] for name in views.names})
+        frame.arrays.update({name: slices[number][name] for name in names})
         frames.append(frame)
     last, moved = None, []
-    for cages, part in zip(views.flow_poses, slices, strict=False):
+    for cages, part in zip(flow_poses, slices, strict=False):
         edits = backend.hold(cages)
         if cages is not last:
             last, moved = cages, _moved_cages(backend, cages)
         _follow(backend, edits, struct_array(moved, MovedCage, device), part)
-    for camera, other, part in zip(views.cameras, views.flow_cameras, slices, strict=False):
+    for camera, other, part in zip(cameras, flow_cameras, slices, strict=False):
         seen, target = (camera_struct(each, backend.field.center) for each in (camera, other))
         inputs = [seen, part["depth"], part["places"], target]
         launch(find_flow, pixels, inputs, [part["flow"]], device=device)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.checks import checked_flag, checked_number, renamed, warn_caller
+from ..core.checks import checked_flag, checked_number, renamed, warn_renamed
 from ..errors import InputError
 from ..mesh.validity import require_usable
 from ..view.camera import Camera
@@ -54,7 +54,7 @@ class CageEdit:
     @property
     def crumbs(self) -> float:
         """The old name of `fragments`, for one release."""
-        warn_caller("CageEdit.crumbs is called fragments now: the old name goes with the next version")
+        warn_renamed("CageEdit.crumbs", "fragments")
         return self.fragments
 
     def __post_init__(self) -> None:

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 from ..core.checks import checked_easing, checked_number, checked_positive, checked_vector, real_array, shown
 from ..core.files import PathLike, atomic_path, errors_of, read_document, require_file
 from ..core.names import LOOPS, Easing, checked_choice
+from ..core.spec import Checker, anything, checked_keys
 from ..errors import InputError
 from ..view.camera import Camera
 from ..view.motion import axis_rotation, value_at
-from .spec import Checker, anything, checked_keys
 
 _FORMAT, _VERSION = "warpcage place", 1
 

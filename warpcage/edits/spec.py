@@ -1,4 +1,4 @@
-"""Specs in files: checks of JSON values, the spec of an edit, and references to poses."""
+"""The spec of an edit in files, and what its JSON refers to: names of files, and poses that are drawn at random."""
 
 from __future__ import annotations
 
@@ -6,24 +6,37 @@ import dataclasses
 import functools
 import json
 import re
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any, get_type_hints
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
-from ..cage.random_poses import POSE_MODES, RandomPoseOptions
-from ..core.checks import checked_flag, checked_number, checked_whole, listed, shown
-from ..core.names import BACKGROUNDS, TRANSPARENT, checked_choice, renamed_keys
+from ..core.names import renamed_keys, shown
+from ..core.spec import (
+    Checker,
+    Values,
+    checked_keys,
+    checked_text,
+    checkers,
+    flag,
+    number,
+    numbers,
+    one_of,
+    option,
+    options_json,
+    text,
+    whole,
+)
 from ..errors import InputError
 
-#: Takes a JSON value and its name in messages; returns the checked value.
-Checker = Callable[[Any, str], Any]
+if TYPE_CHECKING:
+    from ..cage.random_poses import RandomPoseOptions
 
 #: Names of items and outputs: parts between slashes, none of which is hidden or leads up.
 _PART = re.compile(r"\w[\w.\-]*")
 
 _NAME = re.compile(r"\w[\w.\-]*(?:/\w[\w.\-]*)*", re.ASCII)
 
-#: A file, and a part of its content.
-_PLACE = re.compile(r"(.+\.(npy|json|glb|gltf))#(.+)", re.IGNORECASE | re.DOTALL)
+#: A file of arrays, keyframes or cameras, and the key of one of them.
+_REFERENCE = re.compile(r"(.+\.(npy|json|glb|gltf|usd[ac]?|pc2|mdd))#(.+)", re.IGNORECASE | re.DOTALL)
 
 #: Longest part of such a name in bytes, which leaves room for a temporary name, and longest name.
 MAX_PART, MAX_SAFE_NAME = 200, 1000
@@ -43,81 +56,10 @@ def safe_name(value: Any, name: str) -> str:
     return value
 
 
-def text(value: Any, name: str) -> str:
-    """A text that can name a file."""
-    try:
-        if isinstance(value, str) and value.strip() and "\0" not in value and value.encode():
-            return value
-    except UnicodeEncodeError:
-        pass
-    raise InputError(f"{name} must be a text, got {shown(value)}")
-
-
-def numbers(value: Any, name: str, count: int) -> tuple[float, ...]:
-    """As many finite numbers."""
-    if not isinstance(value, list | tuple) or len(value) != count:
-        raise InputError(f"{name} must be {count} numbers, got {shown(value)}")
-    return tuple(checked_number(each, name) for each in value)
-
-
-def background(value: Any, name: str) -> Any:
-    """The colour behind a picture, or none."""
-    if isinstance(value, str) and value in (*BACKGROUNDS, TRANSPARENT):
-        return value
-    if isinstance(value, list | tuple):
-        color = numbers(value, name, 3)
-        if min(color) >= 0.0 and max(color) <= 1.0:
-            return color
-    known = ", ".join((*BACKGROUNDS, TRANSPARENT))
-    raise InputError(f"{name} must be one of {known}, or three numbers in [0, 1], got {shown(value)}")
-
-
-def color(value: Any, name: str) -> Any:
-    """A colour."""
-    if value == TRANSPARENT:
-        raise InputError(f"{name} must be a colour, got {value!r}")
-    return background(value, name)
-
-
-not_negative: Checker = functools.partial(checked_number, minimum=0.0)
-
-
-def one_of(*names: str) -> Checker:
-    """A checker of names."""
-    return functools.partial(checked_choice, choices=names)
-
-
-def whole(minimum: int, maximum: int | None = None) -> Checker:
-    """A checker of whole numbers in a range."""
-    return functools.partial(checked_whole, minimum=minimum, maximum=maximum)
-
-
-def anything(value: Any, name: str) -> Any:
-    """Any JSON."""
-    return value
-
-
-def checked_keys(entry: Mapping[str, Any], known: Mapping[str, Checker], what: str) -> dict[str, Any]:
-    """The values of a JSON object by key, each checked; null is a key that was left out."""
-    if not isinstance(entry, Mapping):
-        raise InputError(f"{what} must be an object, got {shown(entry)}")
-    unknown = next((key for key in entry if key not in known), None)
-    if unknown is not None:
-        raise InputError(f"{what} has no {shown(unknown)}, only {listed(known, most=40)}")
-    return {key: known[key](value, repr(key)) for key, value in entry.items() if value is not None}
-
-
 def split_reference(reference: str) -> tuple[str, str]:
-    """The file and the place of a reference "file#place" to a .npy, .json or glTF file; "" for all of the file."""
-    found = _PLACE.fullmatch(reference)
+    """The file and the key of a reference "file#key" to an array, poses or cameras; "" for all of the file."""
+    found = _REFERENCE.fullmatch(reference)
     return (found[1], found[3]) if found else (reference, "")
-
-
-def plain(value: Any) -> Any:
-    """A value as JSON takes it."""
-    if hasattr(value, "to_json"):
-        return value.to_json()
-    return [plain(each) for each in value] if isinstance(value, tuple) else value
 
 
 def canonical(value: Any) -> str:
@@ -134,12 +76,18 @@ def _pair(value: Any, name: str) -> list[float]:
 
 
 def _modes(value: Any, name: str) -> list[str]:
+    from ..cage.random_poses import POSE_MODES  # with NumPy
+
     if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
         raise InputError(f"{name} must be a list of some of {', '.join(POSE_MODES)}, got {shown(value)}")
     return value
 
 
-_RANDOM: dict[str, Checker] = {"seed": whole(0), "number": whole(0), "stretch": _pair, "reach": _pair, "modes": _modes}
+_RANDOM: dict[str, Checker] = {
+    **dict.fromkeys(("seed", "number"), whole(0).check),
+    **dict.fromkeys(("stretch", "reach"), _pair),
+    "modes": _modes,
+}
 
 
 def drawn_pose(value: Any, name: str) -> dict[str, Any]:
@@ -164,6 +112,8 @@ def drawn_pose_spec(chance: RandomPoseOptions, number: int) -> dict[str, Any]:
 @functools.lru_cache(maxsize=1024)
 def _bounds(**options: Any) -> dict[str, list]:
     """Stretch, reach and modes, checked once for all poses that share them."""
+    from ..cage.random_poses import RandomPoseOptions  # with NumPy
+
     chance = RandomPoseOptions(**options)
     return {name: list(getattr(chance, name)) for name in ("stretch", "reach", "modes")}
 
@@ -173,14 +123,14 @@ def _cage(value: Any, name: str) -> Any:
         if set(value) != {"vertices", "faces"}:
             raise InputError(f'{name} must be a cage file, or "vertices" and "faces", got {shown(value)}')
         return {name: _array(each, f"{name!r} of {name}") for name, each in value.items()}
-    return text(value, name)
+    return checked_text(value, name)
 
 
 def _array(value: Any, name: str) -> Any:
     if isinstance(value, list) and value:
         return value
     if isinstance(value, str) and value:
-        return text(value, name)
+        return checked_text(value, name)
     raise InputError(f'{name} must be an array: "file.npy", "file.npy#17" or a list of [x, y, z], got {shown(value)}')
 
 
@@ -206,15 +156,36 @@ def held_walls(value: Any, name: str) -> str | tuple[int, ...]:
 class EditSpec:
     """One edit with the names of `warpcage.CageEdit`, in job files, edits files and --edit."""
 
-    cage: Annotated[Any, _cage]  # at rest: a file, or "vertices" and "faces"
-    posed: Annotated[Any, _posed] = None  # file, keyframe ("poses.json#wave"), array, or what draws it; None removes
-    keep: Annotated[bool, checked_flag] = False  # keep: leave a copy where it was; remove: draw nothing in its place
-    remove: Annotated[bool, checked_flag] = False
-    falloff: Annotated[float | None, not_negative] = None  # width of the band in which it fades to rest, world units
-    held: Annotated[str | tuple[int, ...], held_walls] = "cut"  # walls that it fades towards: "cut", "still", or faces
-    fragments: Annotated[float | None, not_negative] = None  # size of what goes with the part too, world units
-    up: Annotated[str | None, one_of("y", "z")] = None  # axis that points up in its cage files; None finds it
-    object: Annotated[str | None, text] = None  # the object of its file that is the cage; None is the only one
+    cage: Any = option(
+        dataclasses.MISSING, Values(_cage), "the cage at rest: a file, or an object of `vertices` and `faces`"
+    )
+    posed: Any = option(
+        None,
+        Values(_posed),
+        "the same cage posed: a file, a keyframe (`poses.json#wave`), an array, or what draws it at random",
+    )
+    keep: bool = option(False, flag(), "leave a copy where it was")
+    remove: bool = option(False, flag(), "draw nothing in its place; such an edit has no `posed`")
+    falloff: float | None = option(
+        None,
+        number(0.0),
+        "hold the sides of a cage that cut through the object, and fade the edit out in a band of this width inside "
+        "them, world units, so that a part does not tear off",
+        flag="--falloff WIDTH",
+        default_help="no side is held",
+    )
+    held: str | tuple[int, ...] = option(
+        "cut", Values(held_walls), 'walls that it fades towards: "cut", "still", or numbers of faces'
+    )
+    fragments: float | None = option(
+        None,
+        number(0.0),
+        "take loose pieces that a cage cuts off along with its part, up to this size, world units",
+        flag="--fragments SIZE",
+        default_help="they stay",
+    )
+    up: str | None = option(None, one_of("y", "z"), "axis that points up in its cage files; left out, it is found")
+    object: str | None = option(None, text(), "the object that is the cage in a file of several")
 
     def __post_init__(self) -> None:
         if self.keep and self.remove:
@@ -255,8 +226,7 @@ class EditSpec:
 
     def to_json(self) -> dict[str, Any]:
         """The edit as JSON: what differs from the default; a width of 0 is the same as None."""
-        fields = ((field.name, getattr(self, field.name), field.default) for field in dataclasses.fields(self))
-        return {name: plain(value) for name, value, default in fields if value not in (default, 0.0)}
+        return {name: value for name, value in options_json(self).items() if value != 0.0}
 
     @property
     def is_drawn(self) -> bool:
@@ -267,12 +237,6 @@ class EditSpec:
     def rest(self) -> dict[str, Any]:
         """The edit without its pose."""
         return {name: value for name, value in self.to_json().items() if name != "posed"}
-
-
-def checkers(fields: type) -> dict[str, Checker]:
-    """The checker of each field of a class, from its annotation."""
-    hints = get_type_hints(fields, include_extras=True).items()
-    return {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
 
 
 EDIT_KEYS = checkers(EditSpec)

@@ -13,10 +13,11 @@ import numpy as np
 from ..cage.cage import Cage
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, errors_of, read_document, require_file
 from ..core.names import renamed_keys
+from ..core.spec import Checker, anything, checked_keys
 from ..errors import InputError
 from .edits import CageEdit, edit_from_spec, edit_spec
 from .place import PlaceFile
-from .spec import Checker, EditSpec, anything, checked_keys
+from .spec import EditSpec
 
 #: Version 1 has another key for "objects", which is read too.
 _FORMAT, _VERSION = "warpcage stage", 2

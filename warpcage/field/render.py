@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import array_view, empty_array
-from ..core.checks import checked_flag, checked_positive, require_type
+from ..core.checks import Decorated, checked_positive, require_type
 from ..core.devices import SpareMemory
 from ..core.names import TRANSPARENT
+from ..core.spec import Values, checkers, flag, option, options_of, positive, whole
+from ..errors import UseError
 from ..view.camera import Camera, tile_threads
 from ..view.frame import (
+    MAX_SUPERSAMPLING,
     PART_NAMES,
     Frame,
     average_frame,
-    checked_supersampling,
     finer_camera,
+    is_transparent,
     part_type,
     view_background,
 )
-from .surroundings import LayeredBackground, OuterField
 
 if TYPE_CHECKING:
+    from typing_extensions import Self  # of the type checker
+
     from .voxel_field import VoxelField
 
 #: A march ends where less than this share of the light is left.
@@ -35,39 +42,115 @@ STOP_TRANSMITTANCE = 1e-3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RenderOptions:
-    """How a frame is rendered; None is the scene's own. Renderers ignore or refuse options of other kinds of scenes."""
+    """How a frame is rendered. A new option takes a field here, and one in a `RenderKeywords`; `View` reads it."""
 
-    background: str | ArrayLike | None = None  # colour behind the scene, a name or (3,) in [0, 1]
-    supersampling: int | None = None  # rays along each side of a pixel, 1 to 8
-    antialias: bool | None = None  # splats: weaken those that the blur of the picture makes larger (Mip-Splatting)
-    step: float | None = None  # voxels and sampled fields: march step, world units
-    step_scale: float = 1.0  # voxels: factor on the field's own march step; more than 1 is faster and coarser
-    fill: bool = False  # voxels: fill what an edit uncovers and no picture showed, see `fill_unseen`
+    background: str | ArrayLike | None = option(
+        None,
+        Values(lambda value, _: view_background(value)),
+        'Colour behind the scene, a name or (3,) in [0, 1], or "transparent". None is the field\'s own, its background '
+        "model where it has one; of a stage the first such model, or else the first object's colour. Opacity, depth "
+        "and disparity are those of the field whatever is behind it.",
+    )
+    supersampling: int | None = option(
+        None,
+        whole(1, MAX_SUPERSAMPLING),
+        "Rays along each side of a pixel, 1 to 8. None is the field's own number, one for splats and sampled fields; "
+        "of a stage the largest of its objects' own.",
+    )
+    antialias: bool | None = option(
+        None,
+        flag(),
+        "Splats only: weaken those that the blur of the picture makes larger (Mip-Splatting), for fields that were "
+        "fitted in that way. Others get thinner where they are far away. None is the field's own.",
+    )
+    step: float | None = option(
+        None,
+        Values(lambda value, _: checked_positive(value, "the march step")),
+        "Voxels and sampled fields only: march step, world units, at least 1e-5 of the diagonal of `bounds`. None is "
+        "the field's.",
+    )
+    step_scale: float = option(
+        1.0, positive(), "Voxels only: factor on the march step, above 0. More than 1 is faster and coarser."
+    )
+    fill: bool = option(
+        False, flag(), "Voxels only: fill what an edit uncovers and no picture showed, see `fill_unseen`."
+    )
 
     def __post_init__(self) -> None:
-        if self.background is not None:
-            view_background(self.background)
-        if self.supersampling is not None:
-            checked_supersampling(self.supersampling)
-        if self.antialias is not None:
-            checked_flag(self.antialias, "antialias")
-        if self.step is not None:
-            checked_positive(self.step, "the march step")
-        checked_positive(self.step_scale, "step_scale")
-        checked_flag(self.fill, "fill")
+        for name, check in checkers(RenderOptions).items():
+            value = getattr(self, name)
+            if value is not getattr(RenderOptions, name):  # the default
+                check(value, name)
+
+    def of_object(self) -> Self:
+        """The options of the picture of one object, which is composited with those of others."""
+        return dataclasses.replace(self, background=TRANSPARENT, supersampling=1, fill=False)
 
     @property
     def is_transparent(self) -> bool:
         """Whether pictures have opacity instead of a background."""
-        return isinstance(self.background, str) and self.background == TRANSPARENT
+        return is_transparent(self.background)
 
     def color(self, default: np.ndarray) -> np.ndarray:
         """(3,) float32 colour behind the picture."""
         return default if self.background is None else view_background(self.background)
 
-    def side(self, default: int) -> int:
-        """Rays along each side of a pixel."""
-        return default if self.supersampling is None else int(self.supersampling)
+
+#: The options of a frame that leaves all open.
+DEFAULT_OPTIONS = RenderOptions()
+
+
+class RenderKeywords(TypedDict, total=False):
+    """The options that all `render` methods take by keyword."""
+
+    background: str | ArrayLike | None
+    supersampling: int | None
+
+
+class VoxelKeywords(RenderKeywords, total=False):
+    """What `VoxelField.render` takes."""
+
+    step: float | None
+
+
+class SplatKeywords(RenderKeywords, total=False):
+    """What `SplatField.render` takes."""
+
+    antialias: bool | None
+
+
+class PoseKeywords(VoxelKeywords, SplatKeywords, total=False):
+    """What a Deformer takes."""
+
+
+class StageKeywords(SplatKeywords, total=False):
+    """What `Stage.render` takes."""
+
+    step_scale: float
+
+
+def render_options(options: Mapping[str, Any], keywords: type) -> RenderOptions:
+    """The options that a method was called with. keywords: a RenderKeywords that has all of them."""
+    known = keywords.__annotations__
+    if not options.keys() <= known.keys():
+        unknown = next(name for name in options if name not in known)
+        raise UseError(f"render got an unexpected keyword argument {unknown!r}: it takes {', '.join(known)}")
+    return RenderOptions(**options) if options else DEFAULT_OPTIONS
+
+
+def takes_options(keywords: type) -> Callable[[Decorated], Decorated]:
+    """Decorates a method with these keywords: adds what each of them does to its docstring, behind `options`."""
+    known, options = keywords.__annotations__, options_of(RenderOptions).items()
+    texts = [f"    {name}: {each.help}" for name, each in options if name in known]
+    lines = "".join("\n" + textwrap.fill(text, 108, subsequent_indent=8 * " ") for text in texts)
+
+    def decorate(method: Any) -> Any:
+        if method.__doc__ is not None:  # as it is with `python -OO`
+            entry = re.compile(r"\n    options: .*(\n {8}.*)*")
+            method.__doc__ = entry.sub(lambda found: found[0] + lines, inspect.cleandoc(method.__doc__))
+        return method
+
+    return decorate
 
 
 class RenderTarget(NamedTuple):
@@ -81,61 +164,68 @@ class RenderTarget(NamedTuple):
 NEW_TARGET = RenderTarget()
 
 
-class FieldView(NamedTuple):
-    """A checked view of a field."""
+class View:
+    """A checked view of a camera, as all renderers begin and finish it."""
 
-    field: VoxelField
-    camera: Camera
-    rays: Camera  # the camera with a pixel for each ray
-    center: wp.vec3  # of the camera, relative to the field's origin
-    step: float  # of the march, world units
-    work: float  # steps that a ray may take, as `core.devices.launch` has them
-    color: np.ndarray  # behind the picture, black where there are layers
-    layers: LayeredBackground | OuterField | None
-    options: RenderOptions
-    side: int  # rays along each side of a pixel
-    masks: Sequence[str]
-    target: RenderTarget
+    names: Sequence[str] = PART_NAMES  # of its arrays
+    spare: SpareMemory | None = None
+
+    def __init__(
+        self,
+        camera: Camera,
+        options: RenderOptions,
+        color: np.ndarray,  # (3,) behind the picture
+        side: int,  # rays along each side of a pixel where the options leave that open
+        device: wp.Device,
+        target: RenderTarget = NEW_TARGET,
+    ):
+        require_type(camera, Camera, "render needs")
+        self.camera, self.options, self.color, self.device, self.target = camera, options, color, device, target
+        self.side = side if options.supersampling is None else int(options.supersampling)
+        self.rays = finer_camera(camera, self.side)  # with a pixel for each ray
+
+    def new_arrays(self) -> dict[str, wp.array]:
+        """Arrays (rays,) for a renderer to fill, by the names of a Frame's parts and masks."""
+        if self.target.arrays is not None and self.side == 1:
+            return self.target.arrays
+        return picture_arrays(self.rays.width * self.rays.height, self.names, self.device, self.spare)
+
+    def finished(self, arrays: dict[str, wp.array], *, is_layered: bool = False) -> Frame:
+        """The frame of rendered arrays: rays averaged to pixels. is_layered: a model of a scene is behind it."""
+        frame = average_frame(Frame(self.rays.width, self.rays.height, **arrays), self.side, self.target.arrays)
+        return frame.seen_by(self.camera, None if is_layered else self.color, self.options.background)
+
+
+class FieldView(View):
+    """A checked view of a field of voxels, with these masks."""
+
+    def __init__(
+        self,
+        field: VoxelField,
+        camera: Camera,
+        options: RenderOptions,
+        masks: Sequence[str] = (),
+        target: RenderTarget = NEW_TARGET,
+    ):
+        step = options.step if options.step_scale == 1.0 else options.step_scale * (options.step or field.step)
+        # of the march, world units; and the steps that a ray may take, as `core.devices.launch` has them
+        self.step, self.work = field.march_step(step, camera)
+        color, self.layers = field.chosen_background(options.background)  # black where there are layers
+        super().__init__(camera, options, color, field.supersampling, field.device, target)
+        self.field, self.masks, self.names, self.spare = field, masks, (*PART_NAMES, *masks), field.marching.spare
+        self.center = wp.vec3(*(camera.center - field.center).tolist())  # of the camera, from the field's origin
 
     @property
     def threads(self) -> int:
         """Rays, in whole tiles."""
         return tile_threads(self.rays)
 
-
-def field_view(
-    field: VoxelField,
-    camera: Camera,
-    options: RenderOptions,
-    masks: Sequence[str] = (),
-    target: RenderTarget = NEW_TARGET,
-) -> FieldView:
-    """The view of a field by a camera, with these masks."""
-    require_type(camera, Camera, "render needs")
-    scale = options.step_scale
-    step, work = field.march_step(options.step if scale == 1.0 else scale * (options.step or field.step), camera)
-    color, layers = field.chosen_background(options.background)
-    side = options.side(field.supersampling)
-    center = wp.vec3(*(camera.center - field.center).tolist())
-    rays = finer_camera(camera, side)
-    return FieldView(field, camera, rays, center, step, work, color, layers, options, side, masks, target)
-
-
-def new_picture(view: FieldView) -> dict[str, wp.array]:
-    """Arrays (rays,) for a march to fill, by the names of a Frame's parts and masks."""
-    if view.target.arrays is not None and view.side == 1:
-        return view.target.arrays
-    field, count = view.field, view.rays.width * view.rays.height
-    return picture_arrays(count, (*PART_NAMES, *view.masks), field.device, field.marching.spare)
-
-
-def finish_frame(view: FieldView, arrays: dict[str, wp.array]) -> Frame:
-    """The frame of a marched view: adds what is around the field, and averages rays to pixels."""
-    if view.layers is not None:
-        dimmed = [arrays[name] for name in view.masks]
-        view.layers.add_around(view.rays, arrays["rgb"], arrays["alpha"], arrays["depth"], dimmed)
-    frame = average_frame(Frame(view.rays.width, view.rays.height, **arrays), view.side, view.target.arrays)
-    return frame.seen_by(view.camera, None if view.layers else view.color, view.options.background)
+    def finished(self, arrays: dict[str, wp.array], *, is_layered: bool = False) -> Frame:
+        """The frame of a marched view: adds what is around the field."""
+        if self.layers is not None:
+            dimmed = [arrays[name] for name in self.masks]
+            self.layers.add_around(self.rays, arrays["rgb"], arrays["alpha"], arrays["depth"], dimmed)
+        return super().finished(arrays, is_layered=self.layers is not None)
 
 
 def picture_arrays(

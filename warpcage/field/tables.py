@@ -25,7 +25,7 @@ from ..kernels.view.rays import TILE_SIZE
 from ..view.camera import camera_struct
 from ..view.frame import PART_NAMES, Frame
 from .io.field_file import MAX_VOXELS
-from .render import STOP_TRANSMITTANCE, FieldView, finish_frame, new_picture
+from .render import STOP_TRANSMITTANCE, FieldView
 from .sparse import MatterSkip, running_counts
 
 
@@ -250,13 +250,13 @@ class MarchTables:
         """The frame of a view of the grid."""
         kernel, inputs, rays = self._image_kernel(view.center, view.step)
         pinhole, color = camera_struct(view.rays, view.field.center), wp.vec3(*map(float, view.color))
-        arrays = new_picture(view)
+        arrays = view.new_arrays()
         ends = [pinhole, color, view.step, STOP_TRANSMITTANCE, *(arrays[name] for name in PART_NAMES)]
         if kernel not in self._launches:
             self._launches[kernel] = RecordedLaunch(kernel, self._grid.links.device)
         run = self._launches[kernel]
         run(view.threads // rays, [*inputs, *ends], transient=len(ends), work=rays * view.work)
-        return finish_frame(view, arrays)
+        return view.finished(arrays)
 
     def _image_kernel(self, center: wp.vec3, step: float) -> tuple[Kernel, list[Any], int]:
         """A kernel that renders views of the grid, its first inputs, and the rays that one of its items follows.

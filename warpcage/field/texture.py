@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.names import counted
+from ..core.names import counted, extra_line
 from ..errors import InputError, MissingPackageError
 from ..mesh.io.gltf import Texture, middle_of
 from ..view.pictures import PictureCuts, png_bytes
@@ -27,7 +27,7 @@ def _library(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise MissingPackageError(f'light meshes need {name}: pip install "warpcage[texture]"') from error
+        raise MissingPackageError(f"light meshes need {name}: {extra_line('texture')}") from error
 
 
 def simplified(mesh: trimesh.Trimesh, face_count: int) -> trimesh.Trimesh:

@@ -27,12 +27,13 @@ from ..core.reports import Progress, report_progress, reports_progress
 from ..core.threads import device_turn, in_turn
 from ..errors import InputError
 from ..kernels.field.grid import VoxelGrid, sample_field
+from ..package import WITHOUT_OLD_NAMES
 from ..view.camera import Camera, camera_struct, rigid_motion
 from ..view.camera_path import RefinedCameras
 from ..view.frame import Frame, checked_supersampling, parse_background, view_background
 from .io import load_field, save_field
 from .io.field_file import BASIS_COUNT, FieldContents
-from .render import RenderOptions, RenderTarget, field_view, finish_frame, new_picture
+from .render import FieldView, RenderKeywords, RenderOptions, RenderTarget, VoxelKeywords, render_options, takes_options
 from .sparse import checked_resolution, harmonics_on_device, harmonics_on_host, place_grid, values_on_device
 from .surface import DensityField, color_vertices, extract_mesh
 from .surroundings import LayeredBackground, OuterField
@@ -40,6 +41,7 @@ from .tables import MarchTables
 
 if TYPE_CHECKING:
     import trimesh
+    from typing_extensions import Unpack  # of the type checker
 
 
 class VoxelField(HeldOnDevice):
@@ -237,23 +239,13 @@ class VoxelField(HeldOnDevice):
             require_finite(("points", x), ("directions", d))
         return as_given(rgb, given), as_given(density, given)
 
-    @in_turn
-    def render(
-        self,
-        camera: Camera,
-        *,
-        background: str | ArrayLike | None = None,
-        step: float | None = None,
-        supersampling: int | None = None,
-    ) -> Frame:
+    @takes_options(VoxelKeywords)
+    def render(self, camera: Camera, **options: Unpack[VoxelKeywords]) -> Frame:
         """The view of a camera.
 
         Args:
             camera: The camera.
-            background: Colour behind the field, a name or (3,) in [0, 1]. None is the field's own, its background model
-                where it has one. Opacity, depth and disparity are those of the field itself whatever is behind it.
-            step: March step, world units, at least 1e-5 of the diagonal of `bounds`. None is `.step`.
-            supersampling: Rays along each side of a pixel. None is the field's.
+            options: Options of the frame by keyword, see docs/python.md.
 
         Returns:
             The frame, its arrays on the field's device.
@@ -262,7 +254,12 @@ class VoxelField(HeldOnDevice):
             ValueError: For a background that is not known, a step that is not positive and finite or is too short,
                 a camera so far away that float32 has no steps there, or supersampling out of range.
         """
-        return self.marching.render(field_view(self, camera, RenderOptions(background, supersampling, step=step)))
+        return self._render(camera, render_options(options, VoxelKeywords))
+
+    @in_turn
+    def _render(self, camera: Camera, options: RenderOptions) -> Frame:
+        """See `render`."""
+        return self.marching.render(FieldView(self, camera, options))
 
     def march_step(self, step: float | None, camera: Camera) -> tuple[float, float]:
         """The step of a march from a camera.
@@ -287,10 +284,9 @@ class VoxelField(HeldOnDevice):
         begin: Callable[[], Callable[..., None]],
         camera: Camera,
         *,
-        background: str | ArrayLike | None = None,
-        supersampling: int | None = None,
         masks: tuple[str, ...] = (),
         into: dict[str, wp.array[Any, Any]] | None = None,
+        **options: Unpack[RenderKeywords],
     ) -> Frame:
         """The view of a camera by another march through this field, before the field's own background; for one version.
 
@@ -298,10 +294,9 @@ class VoxelField(HeldOnDevice):
             begin: Called once the rest is checked. What it returns is called with the number of threads, the
                 PinholeCamera, the colour behind the picture, and a function that makes the arrays to fill, by name.
             camera: The camera.
-            background: As for `render`.
-            supersampling: As for `render`.
             masks: Names of the masks that the march fills beside colour, opacity and depth.
             into: Arrays (h * w,) to fill, by the names of the frame's parts and masks. None makes new ones.
+            options: `background` and `supersampling`, as for `render`.
 
         Returns:
             The frame, its arrays on the field's device.
@@ -309,17 +304,17 @@ class VoxelField(HeldOnDevice):
         Raises:
             ValueError: For a background that is not known, or supersampling out of range.
         """
-        warn_caller("VoxelField.render_by is gone in the next version: Deformer renders what is deformed")
-        view = field_view(self, camera, RenderOptions(background, supersampling), masks, RenderTarget(into))
+        warn_caller(f"VoxelField.render_by goes with warpcage {WITHOUT_OLD_NAMES}: Deformer renders what is deformed")
+        view = FieldView(self, camera, render_options(options, RenderKeywords), masks, RenderTarget(into))
         arrays: dict[str, wp.array] = {}
 
         def made_arrays() -> dict[str, wp.array]:
-            arrays.update(new_picture(view))
+            arrays.update(view.new_arrays())
             return arrays
 
         color = wp.vec3(*map(float, view.color))
         begin()(view.threads, camera_struct(view.rays, self.center), color, made_arrays)
-        return finish_frame(view, arrays)
+        return view.finished(arrays)
 
     def chosen_background(
         self, background: str | ArrayLike | None = None

@@ -8,10 +8,11 @@ import os
 import textwrap
 from typing import Any, Literal, TypedDict, TypeVar
 
+import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_number, checked_whole
+from ..core import spec
 from ..core.names import QUALITIES, Quality, checked_choice
 from ..core.reports import Progress
 from ..errors import InputError
@@ -25,28 +26,16 @@ SMALLEST, LARGEST = 1e-9, 1e9
 LARGEST_FACTOR, LARGEST_WEIGHT, LARGEST_RAYS = 1e6, 1e3, 1e12
 
 
-@dataclasses.dataclass(frozen=True)
-class Range:
-    """The values that an option may have, both ends included. whole: only whole numbers."""
-
-    low: float
-    high: float
-    whole: bool
-
-    def __str__(self) -> str:
-        return f"{'a whole number' if self.whole else 'a number'} from {self.low:g} to {self.high:g}"
-
-
-def option(default: object, text: str, values: Range | None = None) -> Any:
-    return dataclasses.field(default=default, metadata={"text": text, "range": values})
+def option(default: object, text: str, values: spec.Values | None = None) -> Any:
+    return spec.option(default, values or spec.Values(spec.anything), text)
 
 
 def whole(default: int | None, low: int, high: int, text: str) -> Any:
-    return option(default, text, Range(low, high, whole=True))
+    return option(default, text, spec.whole(low, high))
 
 
 def number(default: float | None, low: float, high: float, text: str) -> Any:
-    return option(default, text, Range(low, high, whole=False))
+    return option(default, text, spec.number(low, high))
 
 
 def positive(default: float, text: str) -> Any:
@@ -262,10 +251,11 @@ Options = TypeVar("Options")
 def with_arguments(kind: type[Options]) -> type[Options]:
     """Add an `Args:` block to the docstring of a class of options, with the default and the range of each."""
     blocks = ["Args:"]
-    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
-        values, default = field.metadata["range"], field.default
-        span = "" if values is None else f" {str(values)[0].upper()}{str(values)[1:]}."
-        text = f"{field.name}: {field.metadata['text']}{span} Default: {default}."
+    for name, each in spec.options_of(kind).items():
+        schema, default = each.values.schema, spec.defaults_of(kind)[name]
+        numbers = "A whole number" if schema.get("type") == "integer" else "A number"
+        span = f" {numbers} from {schema['minimum']:g} to {schema['maximum']:g}." if "maximum" in schema else ""
+        text = f"{name}: {each.help}{span} Default: {default}."
         blocks.append(textwrap.fill(text, 116, initial_indent=" " * 4, subsequent_indent=" " * 8))
     kind.__doc__ = f"{inspect.cleandoc(kind.__doc__ or '')}\n\n" + "\n".join(blocks) + "\n"
     return kind
@@ -295,7 +285,9 @@ def checked_options(options: dict) -> FitOptions:
     if "epochs" in options:
         options = {"least_steps": 0, "most_rays": LARGEST_RAYS, **options}
     refined = options.get("refine_cameras", False)
-    if not isinstance(refined, bool) and refined != "auto":
+    if isinstance(refined, np.bool_):
+        options = {**options, "refine_cameras": bool(refined)}
+    elif not isinstance(refined, bool) and refined != "auto":
         raise InputError(f"refine_cameras must be True, False or 'auto', got {refined!r}")
     return checked_fields(FitOptions, _SET_BY_QUALITY, options)
 
@@ -303,7 +295,7 @@ def checked_options(options: dict) -> FitOptions:
 def checked_fields(kind: type[Options], by_quality: dict[str, dict[str, Any]], options: dict) -> Options:
     """Options of a kind from `quality`, by what each sets, and fields by name, which have priority; checked."""
     options = dict(options)
-    names = {field.name for field in dataclasses.fields(kind)} | {"quality"}  # type: ignore[arg-type]
+    names = {*spec.options_of(kind), "quality"}
     unknown = sorted(set(options) - names)
     if unknown:
         raise InputError(f"fit has no option {unknown[0]!r}; it has {', '.join(sorted(names))}")
@@ -312,12 +304,10 @@ def checked_fields(kind: type[Options], by_quality: dict[str, dict[str, Any]], o
     if options.get("max_memory") is not None:
         options["max_memory"] = memory_size(options["max_memory"])
     checked = kind(**{**by_quality[quality], **options})
-    for field in dataclasses.fields(checked):  # type: ignore[arg-type]
-        value, values = getattr(checked, field.name), field.metadata["range"]
-        if values is None or (value is None and field.default is None):
-            continue
-        check: Any = checked_whole if values.whole else checked_number
-        check(value, field.name, values.low, values.high)
+    for name, check in spec.checkers(kind).items():
+        value = getattr(checked, name)
+        if value is not None or spec.defaults_of(kind)[name] is not None:
+            check(value, name)
     return checked
 
 

@@ -14,7 +14,7 @@ from ..core.modules import Kernel, load_modules
 from ..core.names import coordinate_kind
 from ..core.reports import Progress
 from ..field import tables
-from ..field.render import STOP_TRANSMITTANCE, FieldView, new_picture
+from ..field.render import STOP_TRANSMITTANCE, FieldView
 from ..kernels.core import texels
 from ..kernels.edits import cell_tables, fine_cells, inverse, structs
 from ..kernels.edits import nodes as map_cells
@@ -89,7 +89,7 @@ class FrameTables(NamedTuple):
 def frame_target(view: FieldView, arc_opacity: int) -> FrameTarget:
     """The target of a view, in new arrays. arc_opacity: 1 keeps opacity along canonical arcs, 0 the paper's density."""
     pinhole, color = camera_struct(view.rays, view.field.center), wp.vec3(*map(float, view.color))
-    options, picture, arrays = MarchOptions(), Picture(), new_picture(view)
+    options, picture, arrays = MarchOptions(), Picture(), view.new_arrays()
     options.step, options.inverse_step = view.step, 1.0 / view.step
     options.stop, options.arc_opacity = STOP_TRANSMITTANCE, arc_opacity
     for name, array in arrays.items():

@@ -11,14 +11,14 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import as_given, as_numbers, as_points, empty_array
-from ..core.checks import MAX_SAMPLES, checked_bounds, checked_march, checked_step, require_ordinary_side, require_type
+from ..core.checks import MAX_SAMPLES, checked_bounds, checked_march, checked_step, require_ordinary_side
 from ..core.devices import launch, resolve_device
 from ..core.threads import in_turn
 from ..errors import InputError, UseError
-from ..field.render import RenderOptions, RenderTarget, picture_arrays
+from ..field.render import RenderOptions, RenderTarget, View
 from ..kernels.render import samples
 from ..view.camera import Camera, camera_struct
-from ..view.frame import PART_NAMES, Frame, average_frame, finer_camera, parse_background
+from ..view.frame import PART_NAMES, Frame, parse_background
 
 if TYPE_CHECKING:
     from typing_extensions import Self  # of the type checker
@@ -160,14 +160,12 @@ def render_samples(
     target: RenderTarget,
 ) -> Frame:
     """The view of a camera of what `sample` returns for points, directions and a step; bounds: (2, 3) world units."""
-    require_type(camera, Camera, "render needs")
-    color, side, into = options.color(field.background), options.side(1), target.arrays
     device, origin = field.device, field.center
+    view = View(camera, options, options.color(field.background), 1, device, target)
     diagonal = math.dist(*bounds)
     step = checked_march(options.step, field.step, diagonal, math.dist(camera.center, bounds.mean(axis=0)))
-    rays = finer_camera(camera, side)
-    pinhole, count = camera_struct(rays, origin), rays.width * rays.height
-    arrays = picture_arrays(count, PART_NAMES, device) if into is None or side > 1 else into
+    pinhole, count = camera_struct(view.rays, origin), view.rays.width * view.rays.height
+    arrays = view.new_arrays()
     begins, counts = empty_array(count, wp.float32, device), empty_array(count, wp.int32, device)
     box = [wp.vec3(*corner) for corner in (bounds - origin).tolist()]
     launch(samples.count_samples, count, [pinhole, *box, step], [begins, counts], device=device)
@@ -182,7 +180,7 @@ def render_samples(
         inputs = [pinhole, ray, step, wp.vec3(*origin), begins, local]
         launch(samples.place_samples, last - ray, inputs, [points, directions], device=device, work=work)
         rgb, density = sample(points, directions, step)
-        inputs = [ray, step, wp.vec3(*color.tolist()), begins, local, rgb, density]
+        inputs = [ray, step, wp.vec3(*view.color.tolist()), begins, local, rgb, density]
         launch(
             samples.composite_samples,
             last - ray,
@@ -192,6 +190,4 @@ def render_samples(
             work=work,
         )
         ray = last
-    return average_frame(Frame(rays.width, rays.height, **arrays), side, into).seen_by(
-        camera, color, options.background
-    )
+    return view.finished(arrays)

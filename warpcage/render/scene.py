@@ -13,7 +13,7 @@ from ..cage.cage import Cage
 from ..core.memory import free_bytes
 from ..edits.apart import NOWHERE, EditBoxes, edit_boxes
 from ..edits.maps import EditLattices
-from ..field.render import FieldView, finish_frame
+from ..field.render import FieldView
 from ..field.voxel_field import VoxelField
 from ..kernels.edits import trace
 from ..view.frame import Frame
@@ -184,7 +184,7 @@ class PosedScene(PosedEdits):
             self.seen = SeenView(view.field, grid, view.center, view.step)
         self.launcher.launch_frame(self.plan, self._frame_tables(view, grid, rows), target)
         self.carried_colors.release()
-        return finish_frame(view, target.arrays)
+        return view.finished(target.arrays)
 
     def _frame_tables(self, view: FieldView, grid: Any, rows: Any) -> FrameTables:
         """What the planned march of a view reads."""

@@ -5,27 +5,30 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points, local_points
-from ..core.checks import checked_direction, real_array, require_ordinary_side, require_type
+from ..core.checks import checked_direction, real_array, require_ordinary_side
 from ..core.devices import HeldOnDevice, launch, resolve_device
 from ..core.files import PathLike
 from ..core.names import counted
 from ..core.threads import in_turn
 from ..errors import InputError
-from ..field.render import NEW_TARGET, RenderOptions, RenderTarget, picture_arrays
+from ..field.render import NEW_TARGET, RenderKeywords, RenderOptions, RenderTarget, View, render_options, takes_options
 from ..kernels.render.surface import SurfaceColors, cast_surface_rays
 from ..splats.io import is_splat_file
 from ..splats.splat_field import AnyField, field_size, load_field
 from ..view.camera import Camera, camera_struct
-from ..view.frame import PART_NAMES, Frame, average_frame, checked_supersampling, finer_camera, parse_background
+from ..view.frame import PART_NAMES, Frame, checked_supersampling, parse_background
 from ..view.pictures import PictureCuts, to_uint8
 from .surface_file import GREY, HEADLIGHT, NO_PICTURE, SURFACE_ENDINGS, Surface, plain_surface, read_surface
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack  # of the type checker
 
 #: How far behind a clear surface the next one is looked for, as a share of the mesh's size.
 SKIP = 1e-6
@@ -196,15 +199,13 @@ class SurfaceMesh(HeldOnDevice):
         colors = {"colors": here.colors[rows], "uv": here.uv[rows], "face_pictures": here.face_pictures[parts]}
         return self._of(dataclasses.replace(here, vertices=vertices, faces=faces, **colors), self)
 
-    def render(
-        self, camera: Camera, *, background: str | ArrayLike | None = None, supersampling: int | None = None
-    ) -> Frame:
+    @takes_options(RenderKeywords)
+    def render(self, camera: Camera, **options: Unpack[RenderKeywords]) -> Frame:
         """The view of a camera.
 
         Args:
             camera: The camera.
-            background: Colour behind the mesh, a name or (3,) in [0, 1]. None is the mesh's own.
-            supersampling: Rays along each side of a pixel. None is the mesh's own.
+            options: Options of the frame by keyword, see docs/python.md.
 
         Returns:
             The frame, its arrays on the mesh's device.
@@ -212,26 +213,21 @@ class SurfaceMesh(HeldOnDevice):
         Raises:
             ValueError: For a background that is not known, or supersampling out of range.
         """
-        return self._render(camera, RenderOptions(background, supersampling))
+        return self._render(camera, render_options(options, RenderKeywords))
 
     @in_turn
     def _render(self, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET) -> Frame:
         """See `render`."""
-        require_type(camera, Camera, "render needs")
-        color, side, into = options.color(self.background), options.side(self.supersampling), target.arrays
-        rays = finer_camera(camera, side)
-        count, (low, high) = rays.width * rays.height, self.bounds
-        arrays = picture_arrays(count, PART_NAMES, self.device) if into is None or side > 1 else into
+        view = View(camera, options, options.color(self.background), self.supersampling, self.device, target)
+        rays, arrays, (low, high) = view.rays, view.new_arrays(), self.bounds
         size = math.dist(low, high)
         farthest = math.dist(camera.center, self.center) + size
         mesh = self._traced()  # held until all is launched, whatever other threads build meanwhile
         inputs = [mesh.id, self._colors, camera_struct(rays, self.center), farthest, SKIP * size]
+        inputs.append(wp.vec3(*view.color.tolist()))
         outputs = [arrays[name] for name in PART_NAMES]
-        launch(
-            cast_surface_rays, count, [*inputs, wp.vec3(*color.tolist())], outputs, device=self.device, work=RAY_WORK
-        )
-        frame = average_frame(Frame(rays.width, rays.height, **arrays), side, into)
-        return frame.seen_by(camera, color, options.background)
+        launch(cast_surface_rays, rays.width * rays.height, inputs, outputs, device=self.device, work=RAY_WORK)
+        return view.finished(arrays)
 
     def _traced(self) -> wp.Mesh:
         """What rays meet; its colours are then on the device too."""

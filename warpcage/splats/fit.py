@@ -19,7 +19,7 @@ from ..core.checks import (
     checked_whole,
     renamed,
     require_type,
-    warn_caller,
+    warn_renamed,
 )
 from ..core.devices import launch
 from ..core.names import checked_choice
@@ -235,13 +235,13 @@ class SplatRates:
     @property
     def centres(self) -> float:
         """The old name of `centers`, for one release."""
-        warn_caller("SplatRates.centres is called centers now: the old name goes with the next version")
+        warn_renamed("SplatRates.centres", "centers")
         return self.centers
 
     @property
     def colours(self) -> float:
         """The old name of `colors`, for one release."""
-        warn_caller("SplatRates.colours is called colors now: the old name goes with the next version")
+        warn_renamed("SplatRates.colours", "colors")
         return self.colors
 
     def __post_init__(self) -> None:

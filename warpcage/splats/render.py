@@ -10,16 +10,15 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import WarpStruct
-from ..core.checks import require_type
 from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.modules import Kernel
 from ..core.threads import owner_lock
 from ..errors import InputError
-from ..field.render import NEW_TARGET, RenderOptions, RenderTarget, picture_arrays
+from ..field.render import DEFAULT_OPTIONS, NEW_TARGET, RenderOptions, RenderTarget, View
 from ..kernels.splats import composite, composite_cpu, project, tiles
 from ..lattice.buffers import BufferPool
 from ..view.camera import Camera, camera_struct
-from ..view.frame import PART_NAMES, Frame, average_frame, checked_supersampling, finer_camera
+from ..view.frame import PART_NAMES, Frame
 
 #: A pixel ends where less than this share of the light is left.
 STOP_TRANSMITTANCE = 1e-4
@@ -64,23 +63,24 @@ class SplatRenderer:
         color: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),  # (3,) behind the splats, in [0, 1]
         origin: ArrayLike = (0.0, 0.0, 0.0),  # (3,) world point that the splats' centres are relative to
         near: float = 0.0,  # splats whose centre is less than this before the camera are left out, world units
-        supersampling: int = 1,  # rays along each side of a pixel
-        antialias: bool = False,  # the blur adds no matter (Mip-Splatting), for fields that were fitted in that way
-        into: dict[str, wp.array] | None = None,  # arrays of the frame to fill; None makes new ones
+        antialias: bool = False,  # the blur adds no matter (Mip-Splatting), where the options leave that open
+        options: RenderOptions = DEFAULT_OPTIONS,
+        target: RenderTarget = NEW_TARGET,
     ) -> Frame:
         """The view of a camera, its arrays on the device; splats: a Splats of kernels/splats/splats.py."""
-        side = checked_supersampling(supersampling)
-        fine = finer_camera(camera, side)
-        lens = splat_lens(fine, origin, near, IMAGE_BLUR * side**2, antialias)  # blurred as with one ray a pixel
+        view = View(camera, options, options.color(np.asarray(color, np.float32)), 1, self.device, target)
+        view.spare = self._spare
+        antialias = antialias if options.antialias is None else bool(options.antialias)
+        blur = IMAGE_BLUR * view.side**2  # as with one ray a pixel
+        lens = splat_lens(view.rays, origin, near, blur, antialias)
         with self._lock:
-            arrays = into if side == 1 else None
-            if arrays is None:
-                arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device, self._spare)
+            arrays = view.new_arrays()
             seen = self._project(splats, lens, splats.centers.shape[0])
             self.entry_count = 0
-            inputs = [wp.vec3(*map(float, color)), STOP_TRANSMITTANCE]
-            self._draw(tile_grid(fine.width, fine.height), seen, inputs, [arrays[name] for name in PART_NAMES])
-            return average_frame(Frame(fine.width, fine.height, **arrays), side, into)
+            inputs = [wp.vec3(*map(float, view.color)), STOP_TRANSMITTANCE]
+            grid = tile_grid(view.rays.width, view.rays.height)
+            self._draw(grid, seen, inputs, [arrays[name] for name in PART_NAMES])
+            return view.finished(arrays)
 
     def _project(
         self, splats: WarpStruct, lens: Any, count: int, kernel: Kernel = project.project_splats
@@ -145,29 +145,6 @@ class SplatRenderer:
         if self.device.is_cuda:
             wp.synchronize_stream(self.device.stream)
         return int(self._total.numpy()[0])
-
-
-def render_field(
-    field: Any,  # the SplatField
-    splats: WarpStruct,  # what is drawn: its own splats, or a pose of them
-    camera: Camera,
-    options: RenderOptions,
-    target: RenderTarget = NEW_TARGET,
-) -> Frame:
-    """The view of a camera as `SplatField.render` has it."""
-    require_type(camera, Camera, "render needs")
-    color = options.color(field.background)
-    frame = field.renderer.render(
-        splats,
-        camera,
-        color=color,
-        origin=field.center,
-        near=field.near,
-        supersampling=options.side(1),
-        antialias=field.antialias if options.antialias is None else bool(options.antialias),
-        into=target.arrays,
-    )
-    return frame.seen_by(camera, color, options.background)
 
 
 def near_distance(centers: np.ndarray) -> float:

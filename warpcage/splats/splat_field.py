@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-import pathlib
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -23,12 +22,12 @@ from ..core.threads import in_turn
 from ..errors import InputError
 from ..field.io import load_field as load_voxels
 from ..field.io.field_file import Y0, FieldContents
-from ..field.render import RenderOptions
+from ..field.render import NEW_TARGET, RenderOptions, RenderTarget, SplatKeywords, render_options, takes_options
 from ..field.voxel_field import VoxelField
 from ..kernels.splats.splats import Splats
 from ..view.camera import Camera
 from ..view.frame import Frame, parse_background
-from .io import SPLAT_ENDINGS, is_splat_file, own_background, read_splats, write_splats
+from .io import is_splat_file, own_background, read_splats, write_splats
 from .io.contents import (
     MIN_OPACITY,
     PlyLayout,
@@ -39,8 +38,12 @@ from .io.contents import (
     opacities_of,
     rotation_matrices,
 )
+from .io.formats import endings_read
 from .matter import REACH, RESOLUTION, SPLAT_NODE, SplatDensity, finest_side, half_light, whole_voxels
-from .render import SplatRenderer, near_distance, render_field
+from .render import SplatRenderer, near_distance
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack  # of the type checker
 
 
 class SplatField(HeldOnDevice):
@@ -133,9 +136,9 @@ class SplatField(HeldOnDevice):
         file), with a warning that counts them. The 3D filter of Mip-Splatting is applied.
 
         Args:
-            path: A .ply of 3DGS, a .compressed.ply of SuperSplat, a .splat, .spz, .ksplat, .sog, .glb or .gltf, or a
-                folder of SOG, which has a meta.json; or a format that another package registered. Or an output folder
-                of 3D Gaussian Splatting: its newest iteration is read, with the background of its fit.
+            path: A file such as .ply or .spz (`warpcage info` lists all formats), or a folder of SOG, which has a
+                meta.json. Or an output folder of 3D Gaussian Splatting: its newest iteration is read, with the
+                background of its fit.
             activated: For .ply files: whether they have opacities and scales instead of logits and logarithms. None
                 decides by their ranges, and warns where they have.
             device: Warp device. None is CUDA where there is one.
@@ -223,7 +226,7 @@ class SplatField(HeldOnDevice):
         cut; a warning counts them.
 
         Args:
-            path: The file; it must end in .ply, .compressed.ply, .splat, .spz, .sog or .glb, or as another package's.
+            path: The file, whose ending says the format, such as .ply or .spz (`warpcage info` lists all).
             version: Of .spz files: 3 (gzip, which all programs read) or 4 (zstd). None is 3.
 
         Raises:
@@ -455,24 +458,15 @@ class SplatField(HeldOnDevice):
         rows = rows.astype(np.int64)
         return self.from_contents(chosen_contents(self.contents, rows), device=self.device, **self.view_options())
 
-    def render(
-        self,
-        camera: Camera,
-        *,
-        background: str | ArrayLike | None = None,
-        supersampling: int | None = None,
-        antialias: bool | None = None,
-    ) -> Frame:
+    @takes_options(SplatKeywords)
+    def render(self, camera: Camera, **options: Unpack[SplatKeywords]) -> Frame:
         """The view of a camera.
 
         The depth of a splat is that of the matter that a pixel sees, so that large slanted splats have slanted depths.
 
         Args:
             camera: The camera.
-            background: Colour behind the splats, a name or (3,) in [0, 1]. None is the field's own.
-            supersampling: Rays along each side of a pixel. None is one.
-            antialias: Weaken splats that the blur of the picture makes larger (Mip-Splatting), for fields that were
-                fitted in that way. Others get thinner where they are far away. None is the field's own.
+            options: Options of the frame by keyword, see docs/python.md.
 
         Returns:
             The frame, its arrays on the field's device.
@@ -480,7 +474,22 @@ class SplatField(HeldOnDevice):
         Raises:
             ValueError: For a background that is not known, or supersampling out of range.
         """
-        return render_field(self, self.splats, camera, RenderOptions(background, supersampling, antialias))
+        return self._render(camera, render_options(options, SplatKeywords))
+
+    def _render(
+        self, camera: Camera, options: RenderOptions, target: RenderTarget = NEW_TARGET, posed: Any = None
+    ) -> Frame:
+        """See `render`; posed: Splats that are drawn in place of the field's own."""
+        return self.renderer.render(
+            self.splats if posed is None else posed,
+            camera,
+            color=self.background,
+            origin=self.center,
+            near=self.near,
+            antialias=self.antialias,
+            options=options,
+            target=target,
+        )
 
     @functools.cached_property
     def renderer(self) -> SplatRenderer:
@@ -529,7 +538,7 @@ def _require_field_file(path: PathLike) -> None:
     """Refuse a file that is of another kind, with what fields are."""
     file = require_file(path, "field file")
     if file.suffix.lower() not in (".npz", "") and not begins_as_archive(file):
-        endings = " ".join(dict.fromkeys(pathlib.Path(f"x{ending}").suffix for ending in SPLAT_ENDINGS))
+        endings = " ".join(endings_read())
         raise InputError(
             f"{path} is not a field: fields are .npz (voxels) or {endings} (splats), this looks like {kind_seen(file)}"
         )

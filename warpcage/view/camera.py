@@ -23,7 +23,7 @@ from ..core.checks import (
     listed,
     real_array,
     require_type,
-    warn_caller,
+    warn_renamed,
 )
 from ..core.files import PathLike, errors_of, require_file
 from ..core.names import LOOPS, Easing, checked_choice, picture_stem
@@ -170,7 +170,7 @@ class Camera:
     @property
     def centre(self) -> np.ndarray:
         """The old name of `center`, for one release."""
-        warn_caller("Camera.centre is called center now: the old name goes with the next version")
+        warn_renamed("Camera.centre", "center")
         return self.center
 
     @property
@@ -405,8 +405,8 @@ class CameraKey:
         camera: The camera.
         time: Seconds from the film's start. None leaves it open.
         name: A name, empty for none.
-        easing: Interpolation to the next key: "smooth", "linear", "hold", "ease-in", "ease-out", "ease-in-out",
-            "bounce", "elastic", or {"bezier": [x1, y1, x2, y2]} as CSS has it.
+        easing: Interpolation to the next key: "smooth", "linear" or another of `warpcage.core.EASINGS`, or
+            {"bezier": [x1, y1, x2, y2]} as CSS has it.
         target: (3,) the point ahead that the camera orbits, world units. None takes what all keys look at.
 
     Raises:

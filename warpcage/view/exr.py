@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import MAX_HALF, Cuts
 from ..core.files import atomic_path, require_file
+from ..core.names import extra_line
 from ..errors import InputError
 from .pictures import COLORS, path_with_ending, picture_cuts, write_jpeg, write_png
 
@@ -27,7 +28,7 @@ def require_openexr() -> Any:
     try:
         import OpenEXR
     except ImportError as error:
-        raise InputError('OpenEXR pictures need its library: pip install "warpcage[exr]"') from error
+        raise InputError(f"OpenEXR pictures need its library: {extra_line('exr')}") from error
     return OpenEXR
 
 

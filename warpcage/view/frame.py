@@ -581,6 +581,7 @@ def parse_background(background: str | ArrayLike, names: Iterable[str] = BACKGRO
             raise InputError(f"background {shown(background)} is not known: {', '.join(names)} or 3 numbers in [0, 1]")
         background = BACKGROUNDS[background]
     color = real_array(background, "a background that is no colour name", np.float32)
-    if color.shape != (3,) or not np.isfinite(color).all() or color.min() < 0 or color.max() > 1:
+    flags = any(isinstance(each, bool | np.bool_) for each in np.array(background, object).flat)
+    if flags or color.shape != (3,) or not np.isfinite(color).all() or color.min() < 0 or color.max() > 1:
         raise InputError(f"background must be a colour name or three numbers in [0, 1], got {shown(background)}")
     return color

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import bisect
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.names import Easing, checked_choice
+from ..core.names import checked_choice
+from ..easings import Easing, eased_share
 from ..errors import InputError
 from ..package import lazy_exports
 
@@ -23,9 +23,6 @@ TELEVISION, ROUNDED = (15, 24, 30, 48, 60, 120, 240), Fraction(1, 200)
 
 #: Most frames that a film may have.
 MAX_FRAMES = 1_000_000
-
-#: Most steps to the parameter of a curve at a time: half an interval each, at worst.
-MAX_STEPS = 100
 
 Time = TypeVar("Time", float, Fraction)
 
@@ -42,9 +39,8 @@ def value_at(
     """The interpolated value of keys, ascending in time; constant before the first and after the last one.
     `values`: (d,) d separate numbers, or (..., d) vectors. The result may be a key's array: do not write to it."""
     # "smooth" is a cubic with continuous velocity that never overshoots its keys: velocities are limited
-    # (`limited_velocity`) along vectors, so that a rotated scene moves alike. "hold" stays until the next key;
-    # "ease-in" starts slowly, "ease-out" stops slowly; "bounce" falls onto the next key and comes back three times,
-    # "elastic" overshoots and oscillates; a curve may too. `still_ends`: smooth segments begin and end at rest.
+    # (`limited_velocity`) along vectors, so that a rotated scene moves alike. "hold" stays until the next key.
+    # Others are functions of the share of the time. `still_ends`: smooth segments begin and end at rest.
     # `closed`: the last key is the first again, passed without stopping.
     index = bisect.bisect_right(times, time) - 1
     if index < 0 or index == len(times) - 1:
@@ -65,59 +61,6 @@ def value_at(
         value = begin + eased_share(easing, share) * (end - begin)
     value.setflags(write=False)
     return value
-
-
-def eased_share(easing: Easing, share: float) -> float:
-    """The eased share of the way at a share of the time, 0 to 1; `easing`: any but smooth and hold."""
-    if isinstance(easing, str):
-        return _EASED[easing](share)
-    x1, y1, x2, y2 = easing["bezier"]
-    return _curved(x1, y1, x2, y2, share)
-
-
-def _curved(x1: float, y1: float, x2: float, y2: float, share: float) -> float:
-    """The height of the cubic from (0, 0) by (x1, y1) and (x2, y2) to (1, 1) above a share of the time."""
-    # Newton's method from the share itself, with bisection where a step leaves the bracket or the slope is 0 (x1 = 1,
-    # x2 = 0, in the middle). x rises with its parameter, as x1 and x2 are 0 to 1.
-    low, high, place = 0.0, 1.0, share
-    for _ in range(MAX_STEPS):
-        error = _cubic(x1, x2, place) - share
-        low, high = (low, place) if error > 0.0 else (place, high)
-        slope = 3.0 * ((1.0 - place) ** 2 * x1 + 2.0 * (1.0 - place) * place * (x2 - x1) + place * place * (1.0 - x2))
-        following = place - error / slope if slope > 0.0 else low
-        if not low < following < high:
-            following = 0.5 * (low + high)
-        if error == 0.0 or following == place:
-            break
-        place = following
-    return _cubic(y1, y2, place)
-
-
-def _cubic(first: float, second: float, place: float) -> float:
-    """A coordinate of the cubic by two handles, at a parameter from 0 to 1."""
-    rest = 1.0 - place
-    return 3.0 * rest * place * (rest * first + place * second) + place**3
-
-
-def _bounced(share: float) -> float:
-    """Parabolas of one gravity: a fall, and three bounces of 1/4, 1/16 and 1/64 of its height."""
-    time = 2.75 * share
-    middle, half = next(each for each in _BOUNCES if time <= sum(each))
-    return 1.0 - half * half + (time - middle) ** 2
-
-
-#: Of the fall and its bounces: the middle, and half of the time that each takes, of times in which the fall takes 1.
-_BOUNCES = ((0.0, 1.0), (1.5, 0.5), (2.25, 0.25), (2.625, 0.125))
-
-#: Share of the way by share of the time, 0 to 1 each, as Penner (2002) has them; elastic ones end at 1 exactly.
-_EASED: dict[str, Callable[[float], float]] = {
-    "linear": lambda share: share,
-    "ease-in": lambda share: share * share,
-    "ease-out": lambda share: share * (2.0 - share),
-    "ease-in-out": lambda share: 2.0 * share * share if share < 0.5 else 1.0 - 2.0 * (1.0 - share) ** 2,
-    "bounce": _bounced,
-    "elastic": lambda share: 1.0 - 2.0 ** (-10.0 * share) * math.cos(6.5 * math.pi * share),
-}
 
 
 class _Velocities:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import Cuts
 from ..core.files import atomic_path, require_file
-from ..core.names import error_line
+from ..core.names import error_line, extra_line
 from ..errors import InputError
 
 #: The rows of a picture from one to another, (k, w, c) float32.
@@ -162,7 +162,7 @@ def _heif_format(path: pathlib.Path) -> tuple[str, ...]:
     try:
         import pillow_heif  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise InputError('HEIC needs its library: pip install "warpcage[heif]"') from error
+        raise InputError(f"HEIC needs its library: {extra_line('heif')}") from error
     pillow_heif.register_heif_opener()
     return ("HEIF",)
 

@@ -17,7 +17,9 @@ from warpcage.core import (
     checked_whole,
     warn_caller,
 )
-from warpcage.core.checks import Cuts, real_array
+from warpcage.core.checks import Cuts, checked_flag, real_array
+from warpcage.fitting.options import checked_options
+from warpcage.view.frame import parse_background
 
 
 @pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.int64(2), np.array(2.0)])
@@ -40,6 +42,19 @@ def test_what_is_no_finite_number_is_refused(value):
         checks.append((lambda: checked_step(value, 1.0), MESSAGES["core.step_positive"]))
     for check, message in checks:
         refused(check, match=message)
+
+
+def test_flags_are_those_of_python_or_numpy():
+    for value in (True, np.True_):
+        assert checked_flag(value, "it") is True and checked_flag(not value, "it") is False
+        assert checked_options({"refine_cameras": value}).refine_cameras is True
+    for value in ("false", 1, None, [True]):
+        refused(lambda value=value: checked_flag(value, "it"), match="it must be true or false, got ")
+
+
+@pytest.mark.parametrize("color", [[True, False, True], [0.5, True, 0], np.ones(3, bool), (0, 0, np.False_)])
+def test_a_color_is_numbers(color):
+    refused(lambda: parse_background(color), match="background must be a colour name")
 
 
 def test_ranges():

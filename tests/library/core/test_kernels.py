@@ -21,11 +21,8 @@ import warpcage
 from warpcage.core import (
     FOLDER,
     MOVED,
-    all_needs,
     copy_kernel,
-    direct_needs,
     find_kernel,
-    host_modules,
     kernel_call,
     kernel_groups,
     kernel_names,
@@ -136,7 +133,6 @@ def test_imports_only_warp_and_siblings_and_says_what_it_is_for(name):
             assert node.level in (1, 2) and node.module is not None
         elif isinstance(node, ast.Import | ast.ImportFrom):
             assert ast.unparse(node) in allowed
-    assert direct_needs(name) <= set(NAMES)
     assert kernel_summary(name) and "Needs:" not in kernel_source(name)  # which its imports say
 
 
@@ -144,9 +140,15 @@ def test_imports_only_warp_and_siblings_and_says_what_it_is_for(name):
 def test_a_copy_is_complete(name, tmp_path):
     paths = copy_kernel(name, tmp_path / "lifted", alone=True)
     files = {path.relative_to(tmp_path / "lifted").as_posix() for path in paths}
-    needed = {name, *all_needs(name)}
-    assert files == {f"{each}.py" for each in needed}.union(["LICENSE", "NOTICE"], *map(native_files, needed))
+    kernels = {each.removesuffix(".py") for each in files if each.endswith(".py")}
+    assert files == {f"{each}.py" for each in kernels}.union(["LICENSE", "NOTICE"], *map(native_files, kernels))
     require_complete(tmp_path / "lifted")
+    imported = {name}  # and nothing is copied that no kernel file imports
+    for path in (tmp_path / "lifted").rglob("*.py"):
+        for level, module, names in checked_imports(path.read_text(encoding="utf-8")):
+            base = path.parents[level - 1].joinpath(*module.split(".")).relative_to(tmp_path / "lifted").as_posix()
+            imported |= {base, *(f"{base}/{each}" for each in names)}
+    assert kernels <= imported
 
 
 def test_copies_work_without_warpcage(tmp_path):
@@ -352,12 +354,22 @@ def test_copied_groups_are_complete(tmp_path):
         require_complete(tmp_path / group / "my_kernels")
 
 
-def test_host_code_is_what_the_call_needs():
+def test_host_code_is_what_the_call_needs(tmp_path):
     """Nothing where kernels call the functions themselves; for maps the lattice, the meshes, and what they stand on."""
-    assert not any(map(host_modules, ("core", "coordinates", "view")))
-    packages = {name.partition("/")[0] for name in host_modules("lattice")}
-    assert packages == {"coordinate_kinds", "core", "errors", "lattice", "mesh", "package"}
-    assert {"lattice/harmonic", "lattice/solver", "lattice/position_map"} <= set(host_modules("lattice"))
+    for group in ("core", "coordinates", "view"):
+        assert not any(file.startswith("host/") for file in copied(group, tmp_path / group))
+    host = {file.removeprefix("host/") for file in copied("lattice", tmp_path) if file.startswith("host/")} - {
+        "__init__.py"
+    }
+    packages = {"core", "lattice", "mesh"}
+    assert {file.partition("/")[0] for file in host} == {
+        *packages,
+        "coordinate_kinds.py",
+        "easings.py",
+        "errors.py",
+        "package.py",
+    }
+    assert {"lattice/harmonic.py", "lattice/solver.py", "lattice/position_map.py"} <= host
 
 
 def test_a_file_comes_with_what_runs_it_or_alone(tmp_path, capsys):

@@ -14,9 +14,9 @@ from refusals import refused
 from runs import DEFORMED, SMALL, run, succeed
 
 import warpcage.studio.films.video as film
-from warpcage import Deformer
 from warpcage.core import SPARE, BackgroundWriter, stream
 from warpcage.studio.films import render as commands
+from warpcage.studio.films.render import Look
 from warpcage.studio.films.video import write_film
 
 #: Seconds until a test that hangs fails.
@@ -234,14 +234,14 @@ ANIMATE = ("animate", "@ball.npz", *DEFORMED, *SMALL, "--frames", 8, "--quiet", 
 
 def count_frames(monkeypatch, before):
     """A list that grows by each frame that is rendered; before: what is done before some of them, by number."""
-    render, count = Deformer.render, []
+    render, count = Look.render, []
 
     def counted(self, *arguments, **options):
         count.append(1)
         before.get(len(count), lambda: None)()
         return render(self, *arguments, **options)
 
-    monkeypatch.setattr(Deformer, "render", counted)
+    monkeypatch.setattr(Look, "render", counted)
     return count
 
 

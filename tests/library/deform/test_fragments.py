@@ -201,9 +201,9 @@ def test_a_size_that_finds_no_fragments_changes_nothing(scene, recwarn):
 
 
 def test_the_old_name_is_taken_with_a_warning():
-    with pytest.warns(UserWarning, match="crumbs= is called fragments= now"):
+    with pytest.warns(UserWarning, match="crumbs= is fragments= now"):
         edit = CageEdit(PART, crumbs=0.25)
-    with pytest.warns(UserWarning, match="CageEdit.crumbs is called fragments now"):
+    with pytest.warns(UserWarning, match="CageEdit.crumbs is fragments now"):
         assert edit.crumbs == edit.fragments == 0.25
 
 

@@ -1,6 +1,8 @@
 """One Deformer for every kind of field, the options of its frames, and the old name of a Deformer of splats."""
 
 import dataclasses
+import inspect
+import pathlib
 import pickle
 
 import numpy as np
@@ -9,9 +11,21 @@ from fields import BOX, shiny_field, view
 from refusals import refused
 from splat_scenes import one_splat
 
-from warpcage import Deformer, SampledField, SplatDeformer, SurfaceMesh
+from warpcage import Deformer, SampledField, SplatDeformer, SplatField, Stage, SurfaceMesh, VoxelField
+from warpcage.core.spec import options_of
 from warpcage.deform.objects import render_object
-from warpcage.field.render import RenderOptions
+from warpcage.deform.views import ViewKeywords
+from warpcage.field.render import (
+    PoseKeywords,
+    RenderKeywords,
+    RenderOptions,
+    SplatKeywords,
+    StageKeywords,
+    View,
+    VoxelKeywords,
+)
+
+PAGE = pathlib.Path(__file__).parents[3] / "docs" / "python.md"
 
 
 def sampled(device):
@@ -63,6 +77,67 @@ def test_methods_of_splats_are_refused_for_others(kind, device, tmp_path):
 )
 def test_options_of_a_frame_are_checked_where_they_are_made(name, wrong):
     assert name.split("_")[0] in refused(lambda: RenderOptions(**{name: wrong}))
+
+
+#: What takes options of a frame, and their keywords.
+TAKERS = {
+    VoxelField.render: VoxelKeywords,
+    SplatField.render: SplatKeywords,
+    SurfaceMesh.render: RenderKeywords,
+    Deformer.render: ViewKeywords,
+    Deformer.render_poses: PoseKeywords,
+    Stage.render: StageKeywords,
+}
+
+
+def test_keywords_are_the_options_of_a_frame():
+    """Each is taken by a method, but for `fill`, and has the type of the option."""
+    types = {field.name: field.type for field in dataclasses.fields(RenderOptions)}
+    taken = {
+        name: getattr(kind, "__forward_arg__", kind)
+        for keywords in (PoseKeywords, StageKeywords)
+        for name, kind in keywords.__annotations__.items()
+    }
+    assert taken == {name: kind for name, kind in types.items() if name != "fill"}
+
+
+@pytest.mark.parametrize(("method", "keywords"), TAKERS.items(), ids=[each.__qualname__ for each in TAKERS])
+def test_help_describes_the_options_that_a_method_takes(method, keywords):
+    text = " ".join(inspect.getdoc(method).split())
+    described = {name for name, each in options_of(RenderOptions).items() if f" {name}: {each.help} " in text}
+    assert described == set(options_of(RenderOptions)) & set(keywords.__annotations__)
+
+
+def test_docs_have_the_table_of_options():
+    rows = [f"| `{name}` | {each.help} |" for name, each in options_of(RenderOptions).items() if name != "fill"]
+    assert "\n".join(["| option | what it does |", "| --- | --- |", *rows]) in PAGE.read_text()
+
+
+@pytest.mark.parametrize("wrong", ["colour", "fill"])
+@pytest.mark.parametrize("kind", ["voxels", "splats", "a mesh", "a deformer", "a pose", "a stage"])
+def test_an_unknown_option_is_refused_with_those_that_there_are(kind, wrong, device):
+    deformer = deformer_of("voxels", device)
+    others = {"a deformer": deformer, "a pose": deformer.posed(BOX), "a stage": Stage(device=device)}
+    scene = others[kind] if kind in others else KINDS[kind](device)
+    text = refused(lambda: scene.render(view(size=8), **{wrong: 1}), error=TypeError)
+    assert text.startswith(f"render got an unexpected keyword argument {wrong!r}: it takes background, supersampling")
+    assert ("outputs" in text) == (kind in ("a deformer", "a pose")) and ("step_scale" in text) == (kind == "a stage")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_frame_is_finished_by_its_view(kind, device, monkeypatch):
+    """By `View.finished`, once: there an option of finished frames reaches all renderers."""
+    finished, found = View.finished, []
+    monkeypatch.setattr(
+        View, "finished", lambda *args, **options: found.append(finished(*args, **options)) or found[-1]
+    )
+    deformer = deformer_of(kind, device)
+    scenes = [deformer, deformer.posed(BOX.twist(20))]
+    if kind != "a function":
+        scenes += [deformer.field, Stage().add("posed", deformer)]
+    for scene in scenes:
+        found.clear()
+        assert scene.render(view(size=4), supersampling=2) is found[-1] and len(found) == 1 + isinstance(scene, Stage)
 
 
 @pytest.mark.parametrize("kind", ["voxels", "splats", "a mesh"])

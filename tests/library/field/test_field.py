@@ -290,7 +290,7 @@ def test_another_march_through_a_field_is_warned_of(device):
 
         return march
 
-    with pytest.warns(UserWarning, match="render_by is gone"):
+    with pytest.warns(UserWarning, match="render_by goes with"):
         frame = field.render_by(begin, camera, masks=("fold",))
     np.testing.assert_array_equal(frame.rgb, np.broadcast_to(np.float32([0.25, 0.5, 0.75]), (4, 5, 3)))
     assert (frame.fold == 0.5).all() and (frame.alpha == 0.5).all()

@@ -12,6 +12,7 @@ from warpcage.core import resolve_device
 from warpcage.fitting import object_bounds
 from warpcage.scene import find_box
 from warpcage.studio.cli import main
+from warpcage.studio.films.render import Look
 
 FAR = np.array([1e4, -2e4, 3e4])
 WORLDS = {
@@ -144,7 +145,7 @@ def test_a_field_keeps_what_is_up(pictures, worlds, tmp_path, monkeypatch):
     from warpcage import cli
 
     seen = []
-    monkeypatch.setattr(VoxelField, "render", lambda self, camera, **_: seen.append(camera) or exit_early())
+    monkeypatch.setattr(Look, "render", lambda self, scene, camera: seen.append(camera) or exit_early())
     for arguments, up in (([], worlds().up), (["--up", "0", "1", "0"], np.array([0.0, 1.0, 0.0]))):
         assert cli.main(["render", str(tmp_path / "field.npz"), "-o", str(tmp_path / "new.png"), *arguments]) == 2
         camera = seen.pop()

@@ -163,7 +163,7 @@ def test_the_way_from_a_place_to_its_cup(folder, scene, capsys):
 
 
 BAD = {
-    "another format": (["clean", "place.ply", "-o", "a.npz"], "must end in .ply or .compressed.ply"),
+    "another format": (["clean", "place.ply", "-o", "a.npz"], "must end in .ply or "),
     "no file": (["clean", "no.ply", "-o", "a.ply"], "no.ply"),
     "nothing left": (["clean", "place.ply", "-o", "a.ply", "--largest-scale", "1e-6"], "nothing would be left"),
     "share": (["clean", "place.ply", "-o", "a.ply", "--floaters", "2"], "floaters must be a share"),

@@ -10,6 +10,7 @@ from splat_scenes import reference_view
 
 from warpcage import Cage, Camera, SplatField
 from warpcage.cage import standing_of_rest
+from warpcage.field.render import RenderOptions
 from warpcage.kernels.splats.splats import Splats
 from warpcage.splats import SplatRenderer, render
 
@@ -240,7 +241,9 @@ def test_several_rays_for_a_pixel(antialias, device):
     renderer = SplatRenderer(device)
     view = camera(32, 24)
     fine = reference_view(*parts, camera(96, 72), WHITE, blur=0.3 * 9, antialias=antialias)
-    frame = renderer.render(on_device(parts, device), view, color=WHITE, supersampling=3, antialias=antialias)
+    frame = renderer.render(
+        on_device(parts, device), view, color=WHITE, options=RenderOptions(supersampling=3, antialias=antialias)
+    )
     assert psnr(frame.rgb, fine[0].reshape(24, 3, 32, 3, 3).mean(axis=(1, 3))) > 75
     assert psnr(frame.alpha, fine[1].reshape(24, 3, 32, 3).mean(axis=(1, 3))) > 75
     assert psnr(frame.rgb, renderer.render(on_device(parts, device), view, color=WHITE, antialias=antialias).rgb) > 30

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.names import error_line
+from ...core.names import error_line, extra_line
 from ...errors import InputError, MissingPackageError
 from .gltf import local_matrix
 
@@ -22,7 +22,7 @@ def usd_library() -> Any:
             importlib.import_module(f"pxr.{part}")
         return importlib.import_module("pxr")
     except ImportError as error:
-        raise MissingPackageError('USD needs its library: pip install "warpcage[usd]"') from error
+        raise MissingPackageError(f"USD needs its library: {extra_line('usd')}") from error
 
 
 @contextlib.contextmanager

@@ -131,14 +131,14 @@ def _candidates(path: PathLike) -> Iterator[SplatFormat]:
         yield from other_formats()
 
 
-def endings_read() -> list[str]:
-    """The endings of files that are read."""
-    return [ending for each in splat_formats() if each.read for ending in each.endings]
+def endings_read() -> tuple[str, ...]:
+    """The endings of files that are read, for messages: short ones first."""
+    return tuple(sorted({ending: 0 for each in splat_formats() if each.read for ending in each.endings}, key=len))
 
 
-def endings_written() -> list[str]:
-    """The endings of files that are written."""
-    return [ending for each in splat_formats() if each.write for ending in each.endings]
+def endings_written() -> tuple[str, ...]:
+    """The endings of files that are written, for messages: short ones first."""
+    return tuple(sorted({ending: 0 for each in splat_formats() if each.write for ending in each.endings}, key=len))
 
 
 def format_to_read(path: PathLike) -> SplatFormat:
