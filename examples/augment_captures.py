@@ -1,27 +1,23 @@
-"""A data set of deformed captures, and a fit of one of them: random poses, pictures in shards, a field again.
+"""A data set of deformed captures, and a fit of one of them: random poses, pictures of each, a field again.
 
     python examples/augment_captures.py --out out                      # an excavator of bricks, rendered for this
     python examples/augment_captures.py --field lego.npz --cage cage.obj --poses 9 --out out
 
-Each pose is seen by the same cameras, and is a shard of its own; pose 0 is the field at rest. What was captured of it,
-and of the pose of --refit, is read from the shards as another program would, and a new field is fitted to each, but for
-every eighth picture. Both show those pictures about equally well, and the one at rest does not show those of the pose:
-cameras, poses and pictures of the records belong together.
+Each pose is seen by the same cameras, and is a scene folder of its own; pose 0 is the field at rest. A new field is
+fitted to the pictures of that, and of the pose of --refit, but for every eighth picture. Both show those pictures
+about equally well, and the one at rest does not show those of the pose: cameras, poses and pictures belong together.
 
-Writes to the folder of --out: sweep.jsonl with sweep.poses.npy and sweep.cameras.json; dataset/shard-*.tar; poses.png
-(a picture of each pose); refit.png (a held-out picture at rest and one deformed, each beside what the new field shows
+Writes to the folder of --out: sweep.jsonl with sweep.poses.npy and sweep.cameras.json; dataset/pose_*/; poses.png (a
+picture of each pose); refit.png (a held-out picture at rest and one deformed, each beside what the new field shows
 there); summary.json.
 """
 
 from __future__ import annotations
 
 import argparse
-import io
 import json
 import pathlib
 
-import imageio.v3 as iio
-import numpy as np
 import warp as wp
 
 import warpcage
@@ -31,11 +27,7 @@ from warpcage.demo.viewpoints import reference_cameras, spread_eyes
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.studio.jobs.run import run_jobs
 from warpcage.studio.jobs.sweeps import GivenSource, RandomSource, write_sweep
-from warpcage.studio.jobs.webdataset import read_shard, shard_path
 from warpcage.view.pictures import contact_sheet, write_png
-
-#: Every eighth picture is held out.
-HOLD_OUT = 8
 
 
 def main(argv=None) -> dict:
@@ -53,28 +45,24 @@ def main(argv=None) -> dict:
         sources=[GivenSource([rest.vertices], "rest"), RandomSource(poses, args.poses - 1)],
         cameras=reference_cameras(spread_eyes(args.views, args.seed), rest.bounds.mean(axis=0), args.size),
         coordinates=[args.coordinates],
-        records={"kind": "webdataset", "items_per_shard": args.views},
         defaults={"background": "transparent"} | ({"resolution": args.lattice} if args.lattice else {}),
     )
     report = run_jobs(sweep.jobs, out / "dataset", device=args.device)
     if report.failed:
         raise SystemExit(f"pictures failed: {report.failed}")
 
-    pictures = [captured(shard_path(out / "dataset", pose)).images[0] for pose in range(args.poses)]
+    folders = [out / "dataset" / f"pose_{pose:06d}" for pose in range(args.poses)]
+    pictures = [warpcage.load_scene(folder, split="test").images[0] for folder in folders]
     write_png(out / "poses.png", contact_sheet(pictures))
     options = {} if args.epochs is None else {"epochs": args.epochs}
-    kept = [number for number in range(args.views) if number % HOLD_OUT]
-    held = list(range(0, args.views, HOLD_OUT))
     psnr, panels, field = {}, [], None
     for pose in (0, args.refit):
-        scene = captured(shard_path(out / "dataset", pose))
+        scene, held = (warpcage.load_scene(folders[pose], split=split) for split in ("train", "test"))
         if field is not None:
-            psnr["the field at rest, of the pose"] = round(mean_psnr(evaluate(field, scene.subset(held))), 2)
-        field = warpcage.fit(
-            scene.subset(kept), device=args.device, seed=args.seed, quality=args.quality, progress=False, **options
-        )
-        psnr[f"pose {pose}"] = round(mean_psnr(evaluate(field, scene.subset(held))), 2)
-        panels += [scene.images[held[0]], field.render(scene.cameras[held[0]], background="white").rgb]
+            psnr["the field at rest, of the pose"] = round(mean_psnr(evaluate(field, held)), 2)
+        field = warpcage.fit(scene, device=args.device, seed=args.seed, quality=args.quality, progress=False, **options)
+        psnr[f"pose {pose}"] = round(mean_psnr(evaluate(field, held)), 2)
+        panels += [held.images[0], field.render(held.cameras[0], background="white").rgb]
     write_png(out / "refit.png", contact_sheet(panels, columns=2))
     summary = {"pictures": sweep.items, "psnr": psnr}
     with atomic_path(out / "summary.json") as temporary:
@@ -97,19 +85,6 @@ def inputs(args, out: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     cage_path = out / "cage.obj"
     warpcage.Cage.from_field(warpcage.VoxelField.load(field_path, device=args.device), args.vertices).save(cage_path)
     return field_path, cage_path
-
-
-def captured(shard: pathlib.Path) -> warpcage.Scene:
-    """The pictures and cameras of a shard, on white."""
-    images, alphas, cameras = [], [], []
-    for record in read_shard(shard):
-        rgba = iio.imread(record["png"], extension=".png").astype(np.float32) / 255.0
-        images.append(rgba[..., :3] * rgba[..., 3:] + 1.0 - rgba[..., 3:])
-        alphas.append(rgba[..., 3])
-        camera = json.loads(record["json"])["camera"]
-        cameras.append(warpcage.Camera(**camera))
-        assert np.isfinite(np.load(io.BytesIO(record["depth.npy"]))[alphas[-1] > 0.5]).all()
-    return warpcage.Scene(np.stack(images), np.stack(alphas), cameras)
 
 
 def parse_arguments(argv):

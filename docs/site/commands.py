@@ -1,12 +1,22 @@
-"""Writes docs/cli.md from what the command line says of itself: `python docs/site/commands.py`."""
+"""Writes docs/cli.md and docs/job_keys.md of commands and specs: `python docs/site/commands.py`."""
 
 from __future__ import annotations
 
+import json
 import pathlib
+from dataclasses import MISSING
+from typing import Any
 
+from warpcage.core.checks import format_lines
+from warpcage.core.spec import defaults_of, options_of, plain
+from warpcage.edits.spec import EditSpec
+from warpcage.mesh.io.formats import FORMATS
+from warpcage.splats.io.formats import BUILT_IN
 from warpcage.studio.cli.program import COMMANDS, ORDER
+from warpcage.studio.jobs.items import EvaluateItem, FitItem, FrameItem, Item
 
-PAGE = pathlib.Path(__file__).resolve().parents[1] / "cli.md"
+DOCS = pathlib.Path(__file__).resolve().parents[1]
+PAGE, KEYS_PAGE = DOCS / "cli.md", DOCS / "job_keys.md"
 
 HEAD = """# Commands
 
@@ -22,13 +32,62 @@ names.
 | --- | --- |
 """
 
+FORMATS_HEAD = """
+## Formats of files
+
+`warpcage info` lists them too, with those of other packages. Voxels are `.npz`; `mesh` writes and `cage` reads `.stl`
+too. [Splats](splats.md#files) and [meshes](blender.md) say more.
+
+| files of | format |
+| --- | --- |
+"""
+
 
 def page() -> str:
-    """The page: a table of all commands, then the examples of each."""
+    """The page: a table of all commands, then the examples of each, and the formats of files."""
     rows = "".join(f"| [`{name}`](#{name}) | {COMMANDS[name].help} |\n" for name in ORDER)
     parts = (f"\n## {name}\n\n```\n{COMMANDS[name].example.rstrip()}\n```\n" for name in ORDER)
-    return HEAD + rows + "".join(parts)
+    return HEAD + rows + "".join(parts) + _formats()
+
+
+def _formats() -> str:
+    """The files of meshes and splats, as `warpcage info` lists them."""
+    lines = {"Cages and meshes": FORMATS, "Splats": BUILT_IN}
+    rows = (f"| {what} | {line} |\n" for what, formats in lines.items() for line in format_lines(formats))
+    return FORMATS_HEAD + "".join(rows)
+
+
+KEYS_HEAD = """# Keys of job files
+
+All keys of the lines of [job files](batch.md), and of "defaults" in their headers. The flags of `warpcage render` and
+`animate` of the same names mean the same. Lengths are world units.
+"""
+
+
+def keys_page() -> str:
+    """The page: a table of keys for each kind of item, and for edits."""
+    specs = {"Frames": FrameItem, "Edits": EditSpec, "Fits": FitItem, "Evaluations": EvaluateItem}
+    return KEYS_HEAD + "".join(f"\n## {title}\n\n{_keys(spec)}" for title, spec in specs.items())
+
+
+def _keys(spec: type) -> str:
+    """The table of a spec's keys."""
+    names = [name for name in spec.known() if name in options_of(spec)] if issubclass(spec, Item) else options_of(spec)
+    rows = []
+    for name in names:
+        option, default = options_of(spec)[name], defaults_of(spec)[name]
+        choices = [choice for choice in option.values.choices if choice not in option.help]
+        help = option.help + (": " + ", ".join(f"`{choice}`" for choice in choices) if choices else "")
+        help += f" (version {option.since})" if option.since > 1 else ""
+        rows.append(f"| `{name}` | {help} | {option.default_help or _default(default)} |\n")
+    return "| key | meaning | if it is left out |\n| --- | --- | --- |\n" + "".join(rows)
+
+
+def _default(default: Any) -> str:
+    """A default as JSON has it."""
+    return "needed" if default is MISSING else "" if default in (None, {}) else f"`{json.dumps(plain(default))}`"
 
 
 if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
+    KEYS_PAGE.write_text(keys_page(), encoding="utf-8")

@@ -278,5 +278,5 @@ def test_captures_of_a_pose_fit_as_well_as_those_at_rest(run, tmp_path):
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "dataset", "poses.png", "refit.png", "summary.json", "sweep.cameras.json", "sweep.jsonl", "sweep.poses.npy"
     }  # fmt: skip
-    shards = sorted(path.name for path in (tmp_path / "out/dataset").glob("*.tar"))
-    assert shards == ["shard-000000.tar", "shard-000001.tar"]
+    poses = sorted(path.name for path in (tmp_path / "out/dataset").glob("pose_*"))
+    assert poses == ["pose_000000", "pose_000001"]

@@ -131,8 +131,11 @@ def test_a_false_of_numpy_ends_work(answer, ends, objects):
         WORK["harmonic weights"](objects, progress=lambda *values: answer)
 
 
-def test_a_bar_goes_to_stderr(objects, capfd):
-    WORK["harmonic weights"](objects, progress=True)
+@pytest.mark.parametrize("flag", [bool, np.bool_])
+def test_a_bar_goes_to_stderr(flag, objects, capfd):
+    WORK["harmonic weights"](objects, progress=flag(False))
+    assert capfd.readouterr() == ("", "")
+    WORK["harmonic weights"](objects, progress=flag(True))
     printed = capfd.readouterr()
     assert printed.out == "" and "harmonic weights" in printed.err
 

@@ -27,7 +27,7 @@ class Conditions:
     load_seconds: float = 0.0
     # after so long the files of an item are there, once it is made
     write_seconds: float = 0.0
-    # whether workers tell when all items of a chunk are begun, before their files are there
+    # whether workers report when all items of a chunk are begun, before their files are there
     overlapping: bool = False
     # what starting a worker's process takes
     start_seconds: float = 2.0
@@ -85,7 +85,7 @@ class SimulatedEngine:
         self.works: dict[str, list[_Work]] = {}  # of each worker, the oldest first
         self.dead: dict[str, tuple[float, list[_Work]]] = {}  # when each died that was not started since, with what
         self.starts: dict[str, int] = {}  # how often each was started that is there
-        self.killed: dict[str, float] = {}  # when each was killed of which nobody knows yet
+        self.killed: dict[str, float] = {}  # when each was killed of which the driver does not know yet
         self.silent: set[str] = set()  # those that answer nothing
         self.broken: set[str] = set()  # those whose device is lost, as their next reports say
         self.failing: collections.Counter[int] = collections.Counter()  # tries of items that will fail
@@ -107,7 +107,7 @@ class SimulatedEngine:
         return chunk
 
     def submit(self, worker: str, method: str, *given) -> None:
-        """A worker gets a chunk, is asked for items, or hears that it is to begin no more."""
+        """A worker gets a chunk, is asked for items, or is stopped."""
         if method == "run":
             (chunk,) = given
             self.spend(self.conditions.send_cost, len(chunk.items))

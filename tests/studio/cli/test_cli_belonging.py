@@ -185,13 +185,3 @@ def test_files_of_frames_that_cannot_be_used(tmp_path, content, message):
     with pytest.raises(ValueError, match=message) as caught:
         read_frame(path)
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
-
-
-def test_frames_are_for_splats(tmp_path, place, capsys):
-    parts = np.ones((4, 4, 4)), np.zeros((4, 4, 4, 9, 3)), [[-1] * 3, [1] * 3]
-    warpcage.VoxelField.from_dense(*parts, device="cpu").save(tmp_path / "f.npz")
-    argv = ["-o", str(tmp_path / "a.png"), "--device", "cpu", "--frame", str(place / "frame.json")]
-    assert main(["render", str(tmp_path / "f.npz"), *argv]) == 2
-    assert "only splats are moved out of nerfstudio's coordinates" in capsys.readouterr().err
-    assert main(["render", str(tmp_path / "f.npz"), *argv[:-1], "sideways"]) == 2
-    assert "takes rest, posed or a .json file, got 'sideways'" in capsys.readouterr().err

@@ -57,35 +57,6 @@ def error(capsys):
     return err
 
 
-WRONG = [
-    ((), "field file, or --demo"),
-    (("@ball.npz", "--demo"), "field file, or --demo"),
-    (("--demo", "--cage", "@cage.obj"), "brings its own cage"),
-    (("@nothing.npz",), "is not there"),
-    (("@broken.npz",), "is not an .npz"),
-    (("@ball.npz", "--cage", "@nothing.obj"), "nothing.obj"),
-    (("@ball.npz", "--cage", "@open.obj"), "open.obj"),
-    (("@ball.npz", "--session", "@broken.session.json"), "broken.session.json: "),
-    (("@ball.npz", "--session", "@broken.session.json"), "--new sets that file aside and begins anew"),
-    (("@ball.npz", "--host", "no.such.host.invalid"), ""),
-    (("@ball.npz", "--host", "192.0.2.1"), "assign requested address"),
-]
-
-
-@pytest.mark.parametrize(("argv", "said"), WRONG, ids=[" ".join(argv) for argv, _ in WRONG])
-def test_what_cannot_be_is_one_line(files, capsys, argv, said):
-    before = sorted(os.listdir(files))
-    assert edit(files, *argv) == 2
-    assert said in error(capsys)
-    assert sorted(os.listdir(files)) == before
-
-
-@pytest.mark.parametrize("port", ["-1", "65536", "x", "1.5", "", "²"])
-def test_a_port_is_a_number(files, capsys, port):
-    assert edit(files, "@ball.npz", f"--port={port}") == 2
-    assert "must be 0 to 65535" in error(capsys)
-
-
 def test_a_port_that_is_taken_is_one_line(files, capsys):
     import socket
 

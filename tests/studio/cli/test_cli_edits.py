@@ -102,42 +102,26 @@ def test_edits_of_one_command_act_in_their_order(files, tmp_path):
 
 
 def test_a_part_fades_to_rest_in_a_band(files, tmp_path):
-    """--falloff for all edits, falloff= for one of them; the overlay shows the cage with its held walls."""
-    band = CageEdit(TOP, falloff=0.3)
-    lifted = expected(files, [band], [POSED_TOP])
-    for argv in (["@top.obj:@top_up.obj", "--falloff", 0.3], ["@top.obj:@top_up.obj:falloff=0.3"]):
-        np.testing.assert_allclose(render(files, tmp_path, "--edit", *argv), lifted, atol=0.003)
-    torn = render(files, tmp_path, "--edit", "@top.obj:@top_up.obj")
-    assert np.abs(torn - lifted).mean() > 0.01
+    """The overlay shows the cage with its held walls."""
+    lifted = render(files, tmp_path, "--edit", "@top.obj:@top_up.obj", "--falloff", 0.3)
     over = render(files, tmp_path, "--cage", "@top.obj", "--posed", "@top_up.obj", "--falloff", 0.3, "--overlay")
     at_rest = render(files, tmp_path, "--cage", "@top.obj", "--overlay")
     drawn, rest = np.abs(over - lifted).max(axis=-1) > 0.3, np.abs(at_rest - render(files, tmp_path)).max(axis=-1) > 0.3
     assert (drawn & rest).sum() > 5  # the held wall
 
 
-def test_fragments_go_with_the_part(files, tmp_path):
-    """A cap of the ball that a cage cuts off is a fragment of half its size."""
-    Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.45)).save(tmp_path / "most.obj")
-    cut = f"{tmp_path / 'most.obj'}:remove"
-    cap = render(files, tmp_path, "--edit", cut)
-    assert (cap < 0.9).any()
-    for argv in ([f"{cut}:fragments=1.2"], [cut, "--fragments", 1.2]):
-        assert (render(files, tmp_path, "--edit", *argv) > 0.98).all()
-    np.testing.assert_array_equal(render(files, tmp_path, "--edit", cut, "--fragments", 0.1), cap)
-
-
 def test_fragments_by_their_old_name_are_taken_with_a_warning(files, tmp_path, capsys):
     assert build_parser().parse_args(["render", "a.npz", "-o", "a.png", "--fragments", "0.5"]).fragments == 0.5
-    with pytest.warns(UserWarning, match="--crumbs is called --fragments now"):
+    with pytest.warns(UserWarning, match="--crumbs is --fragments now"):
         old = build_parser().parse_args(["render", "a.npz", "-o", "a.png", "--crumbs", "0.5"])
     assert old.fragments == 0.5
-    with pytest.warns(UserWarning, match="crumbs= is called fragments= now"):
+    with pytest.warns(UserWarning, match="crumbs= is fragments= now"):
         assert parse_edit("cage.obj:remove:crumbs=0.1") == EditSpec("cage.obj", remove=True, fragments=0.1)
     assert run(files, "edits", "--edit", "@top.obj:remove:crumbs=1", "-o", tmp_path / "a.json") == 0
     (edit,) = json.loads((tmp_path / "a.json").read_text())["edits"]
     assert edit["remove"] and edit["fragments"] == 1.0
     assert capsys.readouterr().err == (
-        "warpcage: warning: crumbs= is called fragments= now: the old name goes with the next version\n"
+        "warpcage: warning: crumbs= is fragments= now: the old name goes with warpcage 0.4\n"
     )
 
 
@@ -223,29 +207,6 @@ def test_a_cage_is_seen_without_a_pose(files, tmp_path):
     ).any()
 
 
-@pytest.mark.parametrize(
-    ("argv", "message"),
-    [
-        (["--edit", "@gone.obj:rest"], "gone.obj"),
-        (["--edit", "@top.obj:rest", "--edit", "@left.obj:@posed.obj"], "edit 2 of 2: cage"),
-        (["--edit", "@left.obj:@left.json"], "holds 2 keyframes: name one"),
-        (["--edit", "@open.obj:rest"], "edit 1 of 1: cage"),
-        (["--edit", "@top.obj:@top_up.obj:held=3"], "edit 1 of 1: held names the sides that an edit fades towards"),
-        (["--overlay"], "--overlay needs a deformation: --cage and --posed (or --cage alone, at rest)"),
-        (["--cage", "@top.obj"], "--cage and --posed go together"),
-        (["--posed", "@top.obj"], "--posed needs --cage"),
-        (["--cage", "@top.obj", "--posed", "rest", "--edit", "@top.obj:rest"], "--cage and --edit do not go together"),
-        (["--edits", "@left.json"], "its format is 'warpcage poses'"),
-        (["--edits", "@text.txt"], "not an edits file"),
-        (["--edits", "@gone.json"], "gone.json"),
-    ],
-)
-def test_bad_edits_end_in_one_line(files, tmp_path, capsys, argv, message):
-    assert run(files, "render", "@ball.npz", "-o", tmp_path / "a.png", *VIEW, *argv) == 2
-    said = capsys.readouterr().err
-    assert message in said and said.count("\n") == 1 and not (tmp_path / "a.png").exists()
-
-
 @pytest.mark.parametrize("held", ["3,4", [3, 4]])
 def test_held_faces_are_read_from_a_text_or_a_list_and_written_as_a_text(tmp_path, held):
     path = tmp_path / "house.edits.json"
@@ -272,8 +233,6 @@ def test_all_of_an_edit_is_said():
         ({"cage": "top.obj"}, "edit 1: 'cage' needs 'posed'"),
         ({"posed": "rest"}, "edit 1: it names no cage"),
         ({"cage": "top.obj", "posed": "rest", "kept": True}, MESSAGES["cage.edit_keys"]),
-        ({"cage": "top.obj", "posed": "rest", "keep": "yes"}, "edit 1: 'keep' must be true or false"),
-        ({"cage": 3, "posed": "rest"}, "edit 1: 'cage' must be a text"),
         ("top.obj:rest", "edit 1: it must be an object"),
     ],
 )

@@ -79,14 +79,6 @@ def test_contact_sheet(files, capsys, tmp_path):
     assert sheet.shape == (3 * 20 + 2 * 4, 3 * 24 + 2 * 4, 3)
     np.testing.assert_allclose(sheet[:20, :24], images[0], atol=0.003)
     np.testing.assert_allclose(sheet[24:44, 28:52], images[4], atol=0.003)
-    for argv in (["ball.npz"], []):
-        for option, message in (
-            ("--sheet", "shows the pictures of a scene folder"),
-            ("--box", "shows where the object"),
-        ):
-            assert main(["info", *[str(files / word) for word in argv], option, str(tmp_path / "other.png")]) == 2
-            assert f"{option} {message}" in capsys.readouterr().err
-    assert not (tmp_path / "other.png").exists()
 
 
 def test_info_says_where_the_object_is(files, capsys, tmp_path):
@@ -117,19 +109,6 @@ def render(files, *argv):
     return main(["render", str(files / "ball.npz"), *map(str, argv)])
 
 
-def test_cameras_are_interpolated(files, tmp_path, capsys):
-    scene = f"{files / 'dtu'}:test"
-    assert render(files, "-o", tmp_path / "way", "--cameras", "interpolate", "--scene", scene, "--frames", 5) == 0
-    assert "5 pictures of 24x20" in capsys.readouterr().out
-    assert render(files, "-o", tmp_path / "given", "--cameras", "given", "--scene", scene) == 0
-    way = [read_image(path) for path in sorted((tmp_path / "way").iterdir())]
-    given = [read_image(path) for path in sorted((tmp_path / "given").iterdir())]
-    assert len(way) == 5 and len(given) == 2
-    np.testing.assert_allclose(way[0], given[0], atol=0.005)  # the way begins and ends at given cameras
-    np.testing.assert_allclose(way[-1], given[-1], atol=0.005)
-    assert np.abs(way[2] - given[0]).mean() > 0.01
-
-
 def test_film_of_a_pose_through_the_cameras(files, tmp_path):
     argv = (
         f"--cage {files}/cage.ply --posed {files}/cage.ply --coordinates mean_value --resolution 16 --overlay".split()
@@ -139,24 +118,3 @@ def test_film_of_a_pose_through_the_cameras(files, tmp_path):
     import imageio.v3 as iio
 
     assert iio.imread(film).shape[:3] == (9, 20, 24)
-
-
-@pytest.mark.parametrize(
-    "argv, expected",
-    [
-        (["-o", "new", "--cameras", "interpolate"], "--cameras needs --scene"),
-        (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--camera", "@dtu:0"], "combined with --camera"),
-        (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--depth", "new.png"], "combined with --depth"),
-        (["-o", "new", "--cameras", "given", "--scene", "@dtu", "--frames", "3"], "--frames belongs"),
-        (["-o", "new.png", "--cameras", "given", "--scene", "@dtu"], "must end in .mp4 or .gif"),
-        (["-o", "@dtu", "--cameras", "given", "--scene", "@dtu"], "exists"),
-        (["-o", "new", "--cameras", "given", "--scene", "@nowhere"], "nowhere"),
-        (["-o", "new", "--cameras", "given", "--scene", "@dtu:validation"], "validation"),
-        (["-o", "new.png", "--scene", "@dtu"], "belong to --cameras"),
-    ],
-)
-def test_wrong_cameras(files, tmp_path, monkeypatch, capsys, argv, expected):
-    monkeypatch.chdir(tmp_path)
-    assert render(files, *[word.replace("@", f"{files}/") for word in argv]) == 2
-    assert expected in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())

@@ -10,7 +10,7 @@ from messages import MESSAGES
 from runs import DEFORMED, SMALL, require_same_film, run, succeed
 
 import warpcage.studio.jobs.films as films
-from warpcage import Deformer
+from warpcage.studio.films.render import Look
 from warpcage.studio.films.video import deep_pixels, read_film_frame, write_film_frame
 from warpcage.view import write_png
 
@@ -20,13 +20,13 @@ FILM = ("animate", "@ball.npz", *DEFORMED, *SMALL, "--size", 64, "--frames", 6, 
 @pytest.fixture
 def rendered(monkeypatch):
     """Counts frames."""
-    render, count = Deformer.render, []
+    render, count = Look.render, []
 
     def counted(self, *argv, **options):
         count.append(1)
         return render(self, *argv, **options)
 
-    monkeypatch.setattr(Deformer, "render", counted)
+    monkeypatch.setattr(Look, "render", counted)
     return count
 
 
@@ -161,7 +161,7 @@ def test_frames_of_another_film_are_not_taken(files, tmp_path, rendered):
 
 
 def test_a_frame_that_cannot_be_made_is_named_and_the_others_are_kept(files, tmp_path, capsys, monkeypatch):
-    render, count = Deformer.render, []
+    render, count = Look.render, []
 
     def fails(self, *argv, **options):
         count.append(1)
@@ -170,7 +170,7 @@ def test_a_frame_that_cannot_be_made_is_named_and_the_others_are_kept(files, tmp
         return render(self, *argv, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Deformer, "render", fails)
+        patch.setattr(Look, "render", fails)
         assert run(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1) == 2
     said = capsys.readouterr().err.splitlines()
     assert said[-2].startswith("warpcage: 5 frames kept in ")
@@ -186,21 +186,6 @@ def test_a_film_that_cannot_be_written_ends_the_workers(files, tmp_path, capsys,
     assert run(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1) == 2
     assert re.fullmatch(MESSAGES["core.no_space"], capsys.readouterr().err.splitlines()[-1])
     assert names(tmp_path) == [".film.mp4.frames"]  # what was made is kept
-
-
-@pytest.mark.parametrize(
-    ("argv", "message"),
-    [
-        (["-o", "a.mov", "--show", "depth"], "--workers makes .mov films of colours alone"),
-        (["-o", "a.mp4", "--show", "alpha", "--overlay"], "draw cages into colours alone"),
-        (["--jobs", "a.jsonl"], "--workers does not go with --jobs: give it to warpcage run"),
-        (["-o", "a.avi"], "must end in"),
-    ],
-)
-def test_what_does_not_go_with_workers(files, tmp_path, capsys, monkeypatch, argv, message):
-    monkeypatch.chdir(tmp_path)
-    assert run(files, *FILM, *argv, "--workers", 1) == 2
-    assert message in capsys.readouterr().err and names(tmp_path) == []
 
 
 def test_frames_of_16_bits_come_back(tmp_path):

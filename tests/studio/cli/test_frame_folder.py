@@ -5,7 +5,7 @@ import json
 import pytest
 from runs import SMALL, run, succeed
 
-from warpcage import Deformer
+from warpcage.studio.films.render import Look
 
 FILM = ("--frames", 3, "--quiet", "--turn", 0, *SMALL)
 CAGES = ("--cage", "@cage.obj", "--posed")
@@ -15,16 +15,7 @@ def listing(folder):
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        [*CAGES, "@text.txt"],
-        [*CAGES, "@none.json"],
-        [*CAGES, "@posed.obj", "--background", "no-colour"],
-        ["--background", "2,2,2"],
-        ["--show", "masks"],
-    ],
-)
+@pytest.mark.parametrize("wrong", [[*CAGES, "@text.txt"], ["--background", "2,2,2"], ["--show", "masks"]])
 def test_a_run_that_made_no_frame_leaves_nothing(files, tmp_path, capsys, wrong):
     folder = tmp_path / "new" / "frames"
     argv = ["animate", "@ball.npz", "-o", folder, *FILM]
@@ -45,7 +36,7 @@ def test_a_film_that_fails_at_its_first_frame_leaves_the_folder_as_it_was(files,
 
     argv = ["animate", "@ball.npz", "-o", folder, *FILM, *CAGES, "@posed.obj"]
     with monkeypatch.context() as patch:
-        patch.setattr(Deformer, "render", fail)
+        patch.setattr(Look, "render", fail)
         assert run(files, *argv) == 2
     assert listing(folder) == ["mine.txt"]
     monkeypatch.setattr("warpcage.studio.films.render.write_picture", fail)  # rendered, but not written

@@ -11,8 +11,6 @@ import pytest
 from page_probe import VIEW, Modules, drag, hull, pointer, press, projected
 from scipy.spatial.transform import Rotation
 
-from warpcage.cage import move
-
 # the wire ----------------------------------------------------------------------------------------------------------
 
 
@@ -234,25 +232,6 @@ def test_clicks_select_add_and_remove(stage: Stage) -> None:
     assert stage.selected() == []
 
 
-@pytest.mark.parametrize("shape", ["rectangle", "lasso"])
-def test_drags_beside_the_cage_draw_a_region(stage: Stage, shape: str) -> None:
-    stage.set("pick", shape)
-    middle = stage.pixels.mean(axis=0)
-    path = [(10.0, 10.0), (middle[0], 12.0), (middle[0] + 5, middle[1] + 10), (12.0, middle[1])]
-    drag(stage.driver, [(float(x), float(y)) for x, y in path])
-    if shape == "rectangle":
-        low, high = np.minimum(path[0], path[-1]), np.maximum(path[0], path[-1])
-        inside = ((stage.pixels >= low) & (stage.pixels <= high)).all(axis=1)
-    else:
-        corners = np.array(path)
-        edges = np.roll(corners, -1, axis=0) - corners
-        away = stage.pixels[:, None] - corners[None]
-        sides = edges[None, :, 0] * away[..., 1] - edges[None, :, 1] * away[..., 0]
-        inside = (sides > 0).all(axis=1)  # the path is convex
-        assert 0 < inside.sum() < 20
-    assert stage.selected() == np.flatnonzero(inside).tolist()
-
-
 def test_a_drag_of_a_vertex_selects_and_moves_it_in_the_view_plane(stage: Stage) -> None:
     vertex = stage.clear[0]
     start = stage.pixels[vertex]
@@ -300,15 +279,6 @@ def test_the_keyboard_alone_selects_and_moves_by_numbers(stage: Stage) -> None:
     pivot = expected[chosen].mean(axis=0)
     expected[chosen] = pivot + (expected[chosen] - pivot) * [2, 2, 1]
     np.testing.assert_allclose(stage.posed(), expected, atol=1e-12)
-
-
-def test_proportional_editing_is_the_librarys_move(stage: Stage) -> None:
-    group = stage.clear[0]
-    stage.click(stage.pixels[group])
-    press(stage.driver, "O", "G", "Z", "0", ".", "1", "Enter")
-    expected = move(stage.points, [0, 0, 0.1], group=[group], radius=0.3 * stage.size)
-    assert np.count_nonzero(expected[:, 2] != stage.points[:, 2]) > 1
-    np.testing.assert_allclose(stage.posed(), expected, atol=1e-14)
 
 
 def test_a_handle_of_the_gizmo_moves_along_its_axis(stage: Stage) -> None:

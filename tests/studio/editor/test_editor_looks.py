@@ -76,6 +76,8 @@ def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, 
         window.click("#snap")
         window.press("K")
         window.wait("warpcage.store.sections.timeline.keys.length === 1")
+        script = "const label = document.getElementById('time-unkeyed'); label.hidden = false;"
+        assert browser.execute_script(f"{script} return label.scrollWidth <= label.clientWidth"), "Pose not kept is cut"
         for name in ("light", "dark"):
             scheme(browser, window, name)
             until(lambda: not window.get("document.getAnimations().length"), "nothing fades any more")

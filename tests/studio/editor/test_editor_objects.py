@@ -35,6 +35,7 @@ from warpcage.studio.editor import (
     with_new_object,
     write_session,
 )
+from warpcage.studio.films.render import Look
 
 __all__ = ["nothing_logged"]  # a fixture
 
@@ -310,8 +311,8 @@ def test_still_moments_of_several_objects_are_rendered_once(monkeypatch):
         _, film = run_command(film, {"do": "key.add", "time": seconds, "pose": True})
     _, film = run_command(film, {"do": "timeline", "length": 3, "fps": 2})
     expected = [picture(document_at(film, seconds), fields) for seconds in np.arange(7) / 2]
-    rendered, render = [], Stage.render
-    monkeypatch.setattr(Stage, "render", lambda *args, **options: rendered.append(1) or render(*args, **options))
+    rendered, render = [], Look.render
+    monkeypatch.setattr(Look, "render", lambda *args, **options: rendered.append(1) or render(*args, **options))
     frames = list(film_pictures(film, fields, Film(40, 30)))
     assert len(rendered) == len({frame.tobytes() for frame in frames}) == 5
     assert frames[2] is frames[3] is frames[4]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import itertools
 import shlex
 import urllib.request
 from pathlib import Path
@@ -101,35 +100,6 @@ def test_the_picture_is_that_of_the_posed_cage(window: Window, editor: Any) -> N
     inner = slice(0, int(0.8 * height)), slice(0, int(0.8 * width))  # the compass is in a corner
     wrong = np.abs(shown[inner] - moved[inner]).mean()
     assert wrong < 0.005 and np.abs(shown[inner] - still[inner]).mean() > 5 * wrong
-
-
-def test_fifty_steps_are_undone_and_redone(window: Window, editor: Any) -> None:
-    looks_cheap(window)
-    begun = len(editor.session.history.undo_steps)
-    seen = [posed(editor)]
-    lowest, _ = below(window)
-    vertex = int(np.argmax(window.places()[:, 1]))
-    window.drag([lowest, lowest + [6, 0], lowest + [12, 3]])
-    settle(editor, begun + 2)  # the vertex is selected, and moved
-    seen += [CAGE.vertices, posed(editor)]
-    for number in range(48):
-        place = window.places()[vertex]
-        way = np.array([np.cos(number), np.sin(number)]) * 14
-        window.drag([place, place + way])
-        settle(editor, begun + 3 + number)
-        seen.append(posed(editor))
-    assert len(seen) == 51 and all((a != b).any() for a, b in itertools.pairwise(seen[1:]))
-    for number in range(49, -1, -1):
-        window.press("Ctrl+Z")
-        settle(editor, begun + number)
-        assert np.array_equal(posed(editor), seen[number])
-    assert window.wait("warpcage.store.sections.history.redo === 50")
-    for number in range(1, 51):
-        window.press("Ctrl+Shift+Z")
-        settle(editor, begun + number)
-        assert np.array_equal(posed(editor), seen[number])
-    np.testing.assert_array_equal(window.posed(), seen[50])
-    assert window.get('document.getElementById("redo").disabled')
 
 
 def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, monkeypatch: Any) -> None:
@@ -502,3 +472,21 @@ def test_a_page_goes_on_with_the_next_editor_or_says_that_it_cannot(browser: Any
             window.wait("document.querySelector('#connection').title.includes('open the address it printed')")
     browser.get("about:blank")
     browser.get_log("browser")  # that nothing answered is logged there
+
+
+def test_each_setting_of_the_schema_has_a_field_that_sets_it(window: Window, editor: Any) -> None:
+    described = window.section("session")["settings"]
+    assert described.keys() == editor.session.document.settings.to_json().keys()
+    for group in ("edits", "advanced", "view"):
+        window.unfold(group)
+    for name, schema in described.items():
+        values = {value for value, *_ in schema.get("labels", ())} - {schema.get("default")}
+        if name in ("background", "show", "mode") or schema.get("type") == "boolean":
+            continue  # fields of their own: colours, rows of choices, the bar's, and what only layers show
+        for value in sorted(values, key=str)[:3]:
+            window.choose(f"#{name}", str(value))
+            until(lambda: getattr(editor.session.document.settings, name) == value, f"{name} is {value}")  # noqa: B023
+    window.click("#show-alpha + span")
+    until(lambda: editor.session.document.settings.show == "alpha", "the opacity is shown")
+    window.choose("#background", "black")
+    until(lambda: editor.session.document.settings.background == "black", "what is behind is black")

@@ -90,6 +90,7 @@ def test_faces_of_a_box_are_dragged_at_rest_and_undone(window: Window, editor: A
     thin = editor.document.edits[-1]
     assert 0 < np.ptp(thin.rest @ normal) < 0.1 * np.ptp(moved.rest @ normal)
     thin.rest_cage.require_usable("it")
+    assert window.get('document.getElementById("redo").disabled')
     window.press("Ctrl+Z", "Ctrl+Z")
     until(lambda: np.array_equal(editor.document.edits[-1].rest, edit.rest), "both drags are undone")
     window.press("Ctrl+Shift+Z")

@@ -29,7 +29,7 @@ from warpcage.studio.editor import (
     same_pose,
     view_camera,
 )
-from warpcage.studio.editor.pictures import renderer as renderer_module
+from warpcage.studio.editor import renderer as renderer_module
 
 simplejpeg = pytest.importorskip("simplejpeg")
 

@@ -12,9 +12,9 @@ from editor_pages import BOX, nothing_logged, with_pages  # noqa: F401
 from splat_scenes import CUP, CUP_AT, CUP_HEIGHT, CUP_RADIUS, FLOATER, TABLE_TOP, place
 
 import warpcage
-from warpcage import Deformer, SplatField
+from warpcage import SplatField
 from warpcage.splats import field_size, load_field
-from warpcage.studio.editor import PosedScene, Session, export_baked, inspect, new_document, view_camera
+from warpcage.studio.editor import Session, export_baked, inspect, new_document, view_camera
 
 
 @pytest.fixture(scope="module")
@@ -32,19 +32,6 @@ def posed_document(field, cage):
     document = new_document(field, [BOX], 16)
     edit = dataclasses.replace(document.edits[0], posed=cage.vertices)
     return dataclasses.replace(document, edits=(edit,))
-
-
-def test_a_pose_is_that_of_the_deformer(splats):
-    posed = BOX.with_vertices(BOX.vertices + (0.0, 0.0, 0.4))
-    document, scene = posed_document(splats, posed), PosedScene(splats)
-    view = view_camera(document.view, 60, 40)
-    scene.prepare(new_document(splats, [], 16))
-    assert (scene.render(view, coarse=3.0).rgb == splats.render(view).rgb).all()
-    scene.prepare(document)
-    expected = Deformer(splats, BOX, coordinates=document.settings.coordinates, resolution=16).pose(posed)
-    frame = scene.render(view, "white", supersampling=2)
-    assert np.allclose(frame.rgb, expected.render(view, background="white", supersampling=2).rgb, atol=1e-6)
-    assert np.abs(frame.rgb - splats.render(view, background="white", supersampling=2).rgb).max() > 0.2
 
 
 def test_pages_see_splats_move(splats, tmp_path):

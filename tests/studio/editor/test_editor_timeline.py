@@ -33,6 +33,7 @@ from warpcage.studio.editor import (
     with_camera_moves,
     with_pose_file,
 )
+from warpcage.studio.films.moves import MovingCamera, camera_moves
 from warpcage.studio.jobs import JobFile
 from warpcage.view.motion import frame_count
 
@@ -57,16 +58,6 @@ def pose_at(document, time):
 
 
 CURVE = {"bezier": [0.9, -0.4, 0.2, 1.3]}
-
-
-@pytest.mark.parametrize("easing", [*EASINGS, CURVE], ids=str)
-def test_keys_are_met_to_the_bit_and_ends_are_still(easing):
-    times = (0.5, 1.0, 2.25)
-    document = film(*((time, easing, pose, None) for time, pose in zip(times, POSES, strict=False)))
-    for time, pose in zip(times, POSES, strict=False):
-        assert np.array_equal(pose_at(document, time), pose)
-    assert np.array_equal(pose_at(document, 0.0), POSES[0])
-    assert np.array_equal(pose_at(document, 99.0), POSES[2])
 
 
 @pytest.mark.parametrize(
@@ -117,32 +108,6 @@ def test_the_drawn_way_is_that_of_the_edit_that_moves_most():
     assert 102 not in drawn and ways(film()) == {}
 
 
-def test_a_held_pose_is_exactly_still_and_then_jumps():
-    document = film((0.0, "hold", POSES[0], None), (1.0, "smooth", POSES[1], None), (2.0, "smooth", POSES[2], None))
-    for time in (0.0, 0.3, np.nextafter(1.0, 0.0)):
-        assert np.array_equal(pose_at(document, time), POSES[0])
-    assert np.array_equal(pose_at(document, 1.0), POSES[1])
-    still = film((0.0, "smooth", POSES[2], None), *((t, "smooth", POSES[0], None) for t in (1.0, 2.0)),
-                 (3.0, "smooth", POSES[1], None))  # fmt: skip
-    assert all(np.array_equal(pose_at(still, time), POSES[0]) for time in np.linspace(1.0, 2.0, 9))
-
-
-def test_smooth_ways_have_one_velocity_at_keys_and_a_quadratic_in_time_is_met():
-    times = (0.0, 0.3, 1.5, 2.0, 3.1)
-    document = film(*((time, "smooth", pose, None) for time, pose in zip(times, POSES, strict=True)))
-    h = 1e-6
-    for index, time in enumerate(times):
-        before = (pose_at(document, time) - pose_at(document, time - h)) / h
-        after = (pose_at(document, time + h) - pose_at(document, time)) / h
-        np.testing.assert_allclose(before, after, atol=1e-3)
-        if index in (0, len(times) - 1):
-            np.testing.assert_allclose(after, 0.0, atol=1e-3)
-    # steady motion through keys at uneven times stays steady between inner keys
-    line = film(*((time, "smooth", CAGE.vertices + time, None) for time in times))
-    for time in np.linspace(0.3, 2.0, 11):
-        np.testing.assert_allclose(pose_at(line, time), CAGE.vertices + time, atol=1e-12)
-
-
 def test_edits_go_by_the_keys_that_hold_them():
     edits = (new_edit(1, CAGE, "one", posed=POSES[3]), new_edit(2, CAGE, "two"), new_edit(3, CAGE, "three"))
     document = film(
@@ -160,19 +125,6 @@ def test_edits_go_by_the_keys_that_hold_them():
     assert np.array_equal(after.edit(1).posed, poses[1])
     cut = dataclasses.replace(edits[0], rest=CAGE.vertices[:4], posed=CAGE.vertices[:4])  # keys of the cage before
     assert 1 not in state_at(dataclasses.replace(document, edits=(cut, *edits[1:])), 1.0)[0]
-
-
-def test_cameras_turn_about_their_target():
-    """Half-way round, a camera stands at the side, as far away as between the two, and not in the object."""
-    up = (0.0, 0.0, 1.0)
-    begin = View((2.0, 0.0, 1.0), (0.0, 0.0, 1.0), up, 40.0)
-    end = View((1.0, 8.0, 3.0), (1.0, 0.0, 3.0), up, 60.0)
-    document = film((0.0, "smooth", None, begin), (2.0, "smooth", None, end))
-    view = state_at(document, 1.0)[1]
-    np.testing.assert_allclose(view.target, (0.5, 0.0, 2.0))
-    np.testing.assert_allclose(np.subtract(view.eye, view.target), 4.0 * np.sqrt(0.5) * np.array([1.0, 1.0, 0.0]))
-    assert view.up == up and view.fov == pytest.approx(50.0)
-    assert state_at(document, 0.0)[1] is begin and state_at(document, 5.0)[1] is end
 
 
 def test_views_between_odd_ones_can_be_used():
@@ -252,6 +204,22 @@ def test_a_film_is_as_long_as_its_last_key_and_has_the_same_frames_everywhere(tm
     session.run({"do": "timeline", "length": 9.0})
     session.run({"do": "key.add", "time": last, "pose": True})
     assert session.document.timeline.length == 9.0  # it was set
+
+
+@pytest.mark.parametrize("easing", [*EASINGS, CURVE], ids=str)
+def test_a_film_goes_as_its_pose_file_does(tmp_path, easing):
+    """To the bit; whose ways are checked in tests/library/view."""
+    times, views = (0.5, 1.0, 2.25, 3.0), (VIEW, None, dataclasses.replace(VIEW, eye=(0.0, 4.0, 2.0), fov=60.0), None)
+    made = film(*((time, easing, pose, view) for time, pose, view in zip(times, POSES, views, strict=False)))
+    pose_file(made, 1).save(tmp_path / "poses.json")
+    file = PoseFile.load(tmp_path / "poses.json")
+    for time in (0.0, *times, *np.linspace(0.1, 4.0, 14)):
+        np.testing.assert_array_equal(pose_at(made, time), file.at_time(time).vertices)
+        view, expected = state_at(made, time)[1], file.camera_at(time)
+        looking = view_camera(view, 64, 48)
+        np.testing.assert_allclose(looking.center, expected.center, atol=1e-9)
+        np.testing.assert_allclose(looking.rotation[:, 2], expected.rotation[:, 2], atol=1e-9)
+        assert easing != "linear" or view.fov == pytest.approx(np.interp(time, (0.5, 2.25), (40.0, 60.0)))
 
 
 def test_keys_go_through_a_pose_file_to_the_bit(tmp_path):
@@ -350,12 +318,10 @@ def test_pose_files_hold_the_cameras_too(tmp_path):
     pose_file(made, 1).save(tmp_path / "poses.json")
     file = PoseFile.load(tmp_path / "poses.json")
     assert file.fps == 12.0 and file.length == 2.0 and [key.time for key in file.cameras] == [0.0, 2.0]
-    for time in (0.0, 0.7, 2.0):
-        view, looking = state_at(made, time)[1], file.camera_at(time)
+    for time, view in ((0.0, VIEW), (2.0, side)):
+        looking = file.camera_at(time)
         np.testing.assert_allclose(looking.center, view.eye, atol=1e-9)
-        ahead = np.subtract(view.target, view.eye) / np.linalg.norm(np.subtract(view.target, view.eye))
-        np.testing.assert_allclose(looking.rotation[:, 2], ahead, atol=1e-9)
-    assert looking.height / looking.fy == pytest.approx(2 * np.tan(np.radians(30.0)))
+        assert looking.height / looking.fy == pytest.approx(2 * np.tan(np.radians(view.fov / 2)))
 
 
 def test_cameras_of_pose_files_become_keys_of_the_film(tmp_path):
@@ -403,41 +369,6 @@ def looked(document, time):
     return np.stack([camera.center, camera.rotation[:, 2], -camera.rotation[:, 1]])
 
 
-def turned_by(degrees):
-    """The rotation (3, 3) about z."""
-    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
-
-
-@pytest.mark.parametrize("text, degrees", [("turn:90", 90), ("turn:-130", -130), ("turn:360", 360), ("turn", 360)])
-def test_a_turn_goes_evenly_about_the_middle_of_the_view(text, degrees):
-    moved, note = with_camera_moves(film(length=3.0), text, [])
-    start = view_camera(VIEW, 80, 60)
-    for time in (0.0, 0.4, 1.5, 2.9, 3.0):
-        way = np.stack([start.center, start.rotation[:, 2], -start.rotation[:, 1]]) @ turned_by(degrees * time / 3.0).T
-        np.testing.assert_allclose(looked(moved, time), way, atol=1e-6)
-    assert note == "" and moved.timeline.length == 3.0
-
-
-def test_dolly_and_crane_end_where_their_words_say():
-    near = with_camera_moves(film(length=2.0), "dolly:0.5", [])[0]
-    np.testing.assert_allclose(looked(near, 2.0)[0], 0.5 * np.array(VIEW.eye), atol=1e-9)
-    high = with_camera_moves(film(length=2.0), "crane:30", [])[0]
-    eye = looked(high, 2.0)[0]
-    rise = np.degrees(np.arctan2(1.0, 3.0)) + 30
-    np.testing.assert_allclose(eye / np.linalg.norm(VIEW.eye), [np.cos(np.radians(rise)), 0, np.sin(np.radians(rise))])
-    distances = [np.linalg.norm(looked(high, time)[0]) for time in (0.3, 1.0, 1.7)]
-    np.testing.assert_allclose(distances, np.linalg.norm(VIEW.eye), rtol=1e-6)
-
-
-def test_a_hand_that_holds_the_camera_sways_a_little_and_the_same_again():
-    held = [with_camera_moves(film(length=4.0), text, [])[0] for text in ("hand-held:3", "hand-held:3", "hand-held:4")]
-    ways = np.array([[looked(one, time) for time in np.linspace(0, 4, 33)] for one in held])
-    np.testing.assert_array_equal(ways[0], ways[1])
-    axes = np.degrees(np.arccos(np.clip(np.sum(ways[:, :, 1] * ways[:, :1, 1], axis=-1), -1, 1)))
-    assert 0.05 < axes.max() < 3 and np.abs(ways[0] - ways[2]).max() > 1e-3
-
-
 def test_a_camera_that_follows_looks_at_the_cage_and_poses_stay():
     here, there = frozen_vertices(CAGE.vertices), frozen_vertices(CAGE.vertices + [0.0, 2.0, 0.5])
     before = film((0.0, "linear", here, VIEW), (2.0, "linear", there, None), (1.2, "smooth", None, VIEW), length=2.0)
@@ -468,6 +399,31 @@ def test_a_turn_stays_within_what_pictures_saw():
     assert "no picture shows the rest" in note and 90 < np.ptp(azimuths) < 150
     assert known.min() - 10 < azimuths.min() and azimuths.max() < known.max() + 10
     np.testing.assert_allclose(looked(moved, 0.0), looked(moved, 4.0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("move", "apart"),
+    [
+        ("turn:90", 1e-6),
+        ("turn:-130", 1e-6),
+        ("turn", 1e-6),
+        ("dolly:0.5", 0.2),
+        ("crane:30", 0.1),
+        ("hand-held:3", 0.01),
+    ],
+)
+def test_keys_of_a_move_take_the_camera_where_the_move_does(move, apart):
+    """There at both ends, and nearly there between keys; tests/studio/films checks the moves themselves."""
+    moved, note = with_camera_moves(film(length=3.0), move, [])
+    assert note == "" and moved.timeline.length == 3.0
+    start, pivot, up = view_camera(VIEW, 80, 60), np.array(VIEW.target), np.array(VIEW.up)
+    camera = MovingCamera(start, pivot, up, camera_moves(move), 72 + (move != "turn"))
+    for frame in range(0, 73, 6):
+        there = camera.at(frame)
+        expected = np.stack([there.center, there.rotation[:, 2], -there.rotation[:, 1]])
+        near = 1e-6 if frame in (0, 72) else apart
+        np.testing.assert_allclose(looked(moved, frame / 24.0), expected, atol=near)
+    assert np.abs(looked(moved, 1.5) - looked(moved, 0.0)).max() > 2e-3
 
 
 @pytest.mark.parametrize("text", ["spin", "turn:x", "dolly:0", "", "follow"])

@@ -13,8 +13,10 @@ from editor_pages import tiny_field
 from page_probe import projected
 
 import warpcage
+from warpcage.core import EASINGS
 from warpcage.studio.editor import MAIN, film_pictures
 from warpcage.studio.editor import Film as PlainFilm
+from warpcage.studio.editor.work.uploads import loadable
 
 __all__ = ["editor", "window"]  # fixtures
 
@@ -256,6 +258,18 @@ WebSocket.prototype.send = function (text) {
   else send.call(this, text);
 };
 """
+
+
+def test_the_page_offers_all_files_and_easings_that_the_server_knows(window: Window) -> None:
+    window.unfold("objects")
+    window.wait('document.getElementById("time-easing").options.length > 1', "easings")
+    assert window.get('[...document.getElementById("time-easing").options].map(({value}) => value)') == [
+        *EASINGS,
+        "bezier",
+    ]
+    for kind, endings in loadable().items():
+        clicked = "(input) => (input.onclick = () => false, input.click(), input.accept)"
+        assert window.get(f'({clicked})(document.getElementById("{kind}-upload-file"))') == ",".join(endings)
 
 
 @pytest.mark.parametrize(

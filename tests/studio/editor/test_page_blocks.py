@@ -30,7 +30,7 @@ SMALLER = {
     "select.md": {'pixel=(486, 518), camera=scene.cameras[12], plane="wall"': "point=(-0.15, 0.1, 0.2)"},
     "splats.md": {"vertex_count=100": "40", "width=640, height=480": "width=64, height=48", "41, 2": "41, 20"},
     "stage.md": {"width=640, height=480": "width=64, height=48"},
-    "sweeps.md": {"000099": "000001"},
+    "sweeps.md": {"000099": "000001", "maxcount=1000": "maxcount=2"},
 }
 
 #: What needs a GPU or a browser; the editor's tests open it.
@@ -64,7 +64,7 @@ def folder(tmp_path_factory):
     for name in ("scene", "robot"):
         splats_in_box("cpu", count=30).save(root / f"{name}.ply")
     arguments = "sweep room.npz --cage cage.obj --poses poses.npy --cameras cameras.json -o sweep.jsonl"
-    arguments += " --records webdataset --items-per-shard 2 --resolution 24"
+    arguments += " --resolution 24"
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
         assert main(arguments.split()) == 0

@@ -7,7 +7,6 @@ import pytest
 from refusals import refused
 
 from warpcage import Camera, turntable
-from warpcage.studio.films.motion import pose_weights
 from warpcage.studio.films.moves import MovingCamera, camera_moves
 
 PIVOT, UP = np.array([0.5, -1.0, 0.25]), np.array([0.0, 0.6, 0.8])
@@ -93,17 +92,6 @@ def test_moves_that_cannot_be_from_there():
     for moves, start in (("crane", above), ("dolly", away)):
         with pytest.raises(ValueError, match="above or below|behind it"):
             moving(moves, start=start).at(3)
-
-
-def test_pose_weights():
-    np.testing.assert_allclose(pose_weights(4), [0, 0.5, 1, 0.5], atol=1e-12)
-    once = pose_weights(5, "once")
-    np.testing.assert_allclose(once[[0, 2, 4]], [0, 0.5, 1], atol=1e-12)
-    assert (np.diff(once) > 0).all()
-    np.testing.assert_array_equal(pose_weights(3, "hold"), 1.0)
-    assert pose_weights(1, "once").shape == (1,)
-    refused(lambda: pose_weights(3, "wobble"), match="wobble")
-    refused(lambda: pose_weights(0), match="at least one frame")
 
 
 @pytest.mark.filterwarnings("ignore::FutureWarning")

@@ -11,6 +11,7 @@ from runs import require_same_film
 
 import warpcage
 from warpcage import CameraFile, CameraKey, Cancelled, Deformer, Place, PlaceFile, PoseFile, Stage
+from warpcage.studio.films import Look
 from warpcage.studio.films.video import deep_pixels, read_film_frame, write_film
 from warpcage.view import read_image, rgba_picture
 
@@ -123,8 +124,8 @@ def test_objects_of_a_stage_are_where_their_places_are(field, tmp_path):
 def test_what_shows_what_was_shown_last_is_not_rendered_again(field, deformer, tmp_path, monkeypatch):
     times = {0.0: Place(), 0.25: Place((0.5, 0.0, 0.0)), 0.5: Place((0.5, 0.0, 0.0)), 0.625: Place()}
     stage = Stage().add("box", deformer.pose(BENDS[1])).add("ball", field, place=PlaceFile(times))
-    rendered, render = [], Stage.render
-    monkeypatch.setattr(Stage, "render", lambda *args, **options: rendered.append(1) or render(*args, **options))
+    rendered, render = [], Look.render
+    monkeypatch.setattr(Look, "render", lambda *args, **options: rendered.append(1) or render(*args, **options))
     warpcage.render_film(stage, tmp_path / "whole.mp4", camera=CAMERA, fps=8)
     assert len(rendered) == 4  # of 6 frames, which are written as a folder of pictures has them
     pictures = map(read_image, warpcage.render_film(stage, tmp_path / "each", camera=CAMERA, fps=8))
@@ -175,7 +176,6 @@ def test_a_folder_goes_on_after_an_interrupt(deformer, field, tmp_path):
 
 
 def test_frames_that_are_equal_are_rendered_once(deformer, tmp_path, monkeypatch):
-    from warpcage.studio.films import Look
 
     render, count = Look.render, []
     monkeypatch.setattr(Look, "render", lambda *argv, **options: count.append(1) or render(*argv, **options))

@@ -66,20 +66,6 @@ def test_splats_are_fitted_and_evaluated_as_by_the_commands(files, tmp_path):
     assert made["views"] == expected["views"] and len(made["views"]) == 2
 
 
-@pytest.mark.parametrize(
-    ("argv", "message"),
-    [
-        (("-o", "x.ply", "--epochs", "2"), "--epochs is not for fits of splats"),
-        (("-o", "x.npz", "--steps", "5"), "--steps is not for fits of voxels"),
-        (("-o", "x.npz", "--as", "splats"), "must end in .ply"),
-        (("-o", "x.ply", "--background", "layers"), "is for voxels"),
-    ],
-)
-def test_options_of_the_other_kind_are_refused(files, capsys, argv, message):
-    assert run(files, "fit", "@scene", *argv, "--device", "cpu") != 0
-    assert message in capsys.readouterr().err
-
-
 def test_fits_of_one_scene_read_its_pictures_once(files, tmp_path):
     """And are those of a worker each, to the bit; a changed picture is read, other options are another scene."""
     entry = {"kind": "fit", "scene": "scene"}

@@ -189,19 +189,20 @@ def test_no_worker_stays_of_a_plan_that_ends(tmp_path, end):
 @pytest.mark.scaled
 def test_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines, monkeypatch, at_night):
     """kill -9 of one of two workers, in the middle of an item or before its first, at random moments."""
-    monkeypatch.setattr(scheduler, "MAX_BARREN", 25)  # workers that die by themselves before any item are given up
+    monkeypatch.setattr(
+        scheduler, "MAX_EARLY_DEATHS", 25
+    )  # workers that die by themselves before any item are given up
     out, chance, kills, done = tmp_path / "out", random.Random(), [], threading.Event()
     count = KILLS[at_night]
 
     def kill():
         while len(kills) < count and not done.is_set():
             time.sleep(chance.uniform(0.0, 0.15))
-            places = list(engines[0].places.items()) if engines else []
-            if places:
-                name, place = chance.choice(places)
-                if engines[0].places.pop(name, None):  # each process once
-                    os.kill(place["pid"], signal.SIGKILL)
-                    kills.append(place["pid"])
+            places = list(engines[0].places.values()) if engines else []
+            pids = [place["pid"] for place in places if place["pid"] not in kills]  # each process once
+            if pids:
+                kills.append(chance.choice(pids))
+                os.kill(kills[-1], signal.SIGKILL)
 
     killer = threading.Thread(target=kill)
     killer.start()
@@ -373,7 +374,7 @@ def test_devices_that_several_workers_cannot_share_are_refused(address, job, tmp
 
 
 class Nodes:
-    """What Ray tells of machines."""
+    """What Ray says about machines."""
 
     def __init__(self, *resources):
         self.resources = resources

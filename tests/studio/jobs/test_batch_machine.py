@@ -57,7 +57,7 @@ class SteppedEngine(SimulatedEngine):
         return answers
 
     def submit(self, worker, method, *given):
-        assert not (self.stopped and method == "run"), "a chunk is handed out after the end"
+        assert not (self.stopped and method == "run"), "a chunk is sent after the end"
         if method == "run":
             (chunk,) = given
             assert self.starts[worker] and len(self.works.get(worker, [])) < 2

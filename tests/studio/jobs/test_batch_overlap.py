@@ -110,7 +110,8 @@ def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
     maker = Held()
     with runner_of(files, tmp_path / "out", maker) as (runner, order):
         assert runner.oldest(1) is None
-        working = threading.Thread(target=runner.run, args=[order(1, 3, 7)])
+        reports = []
+        working = threading.Thread(target=lambda: reports.append(runner.run(order(1, 3, 7))))
         working.start()
         assert maker.begun.acquire(timeout=60)
         index, first = runner.oldest(1)
@@ -125,7 +126,7 @@ def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
             time.sleep(0.01)
         maker.written[1].set_result({"b": 1})
         working.join(60)
-        assert runner.oldest(1) is None and runner.report.done == [3, 7]
+        assert runner.oldest(1) is None and reports[0].done == [3, 7]
 
 
 def test_a_chunk_ends_with_its_time_and_loading_is_distinguished(files, tmp_path, monkeypatch):
@@ -257,7 +258,7 @@ def driven(files, tmp_path, monkeypatch):
             seen.processes.append(Scripted(settings, play_of(script, settings)))
             return seen.processes[-1]
 
-        host = types.SimpleNamespace(start=start, share=Share(2, 0, 0, 1, "cpu"), patience=1e9)
+        host = types.SimpleNamespace(start=start, share=Share(2, 0, 0, 1, "cpu"), patience=1e9, work=lambda: None)
         with JobFile(files / "jobs.jsonl") as job, RunJournal(job, folder) as journal:
             engine = ProcessEngine(host, RunnerSettings("", job.reader, "", "run"))
             engine.now = now

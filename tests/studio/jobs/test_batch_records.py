@@ -11,7 +11,7 @@ from messages import MESSAGES
 from refusals import refused
 from runs import write_files
 
-from warpcage import Cage, CameraFile, RandomPoses, load_scene, turntable
+from warpcage import Cage, CameraFile, RandomPoses, load_scene, run_jobs, turntable
 from warpcage.studio.jobs import (
     Item,
     JobFile,
@@ -189,6 +189,13 @@ def test_the_webdataset_package_reads_a_shard(files, shard):
         assert np.array_equal(pose, poses[record["extra"]["pose"]])
         assert record["id"] == key
         assert picture[0, 0].min() > 0.95  # white, but for the JPEG's rounding
+
+
+def test_shards_warn_that_they_go(files, tmp_path):
+    with pytest.warns(UserWarning, match="records go with warpcage 0.4: pack"):
+        write_job(files, f"{tmp_path.name}.jsonl", {"kind": "webdataset"}).close()
+    with pytest.warns(UserWarning, match="WebDataset records go"):
+        run_jobs(files / f"{tmp_path.name}.jsonl", tmp_path, device="cpu")
 
 
 def test_packing_again_changes_no_byte_and_adds_what_failed_before(files, shard):

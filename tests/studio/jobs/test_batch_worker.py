@@ -17,8 +17,11 @@ from refusals import refused
 from runs import run, write_files
 from splat_scenes import splats_in_box
 
-from warpcage import Cage, CageEdit, Camera, CameraFile, Deformer, Frame, PoseFile, SplatField, VoxelField, load_scene
+from warpcage import Cage, CageEdit, Camera, CameraFile, Deformer, Frame, PoseFile, VoxelField, load_scene
+from warpcage.cage.pose_file import MOVING_ENDINGS
 from warpcage.core import SPARE
+from warpcage.mesh.io.vertex_cache import CACHE_ENDINGS
+from warpcage.studio.films.render import Look
 from warpcage.studio.jobs import MAX_DEFORMERS, PARTS, Fingerprints, Item, JobFile, Missing, Worker, write_array
 from warpcage.view import linear_light, read_image, write_picture
 
@@ -147,28 +150,39 @@ def test_an_inline_camera_and_cage_are_those_of_files(files, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("more", "argv"),
+    ("keys", "argv"),
     [
-        ({"posed": "twist:30:up"}, ["--posed", "twist:30:up"]),
-        ({"posed": "poses.json#wave", "size": 20}, ["--posed", "@poses.json:wave", "--size", 20]),
-        ({"background": "transparent", "overlay": True}, ["--background", "transparent", "--overlay"]),
-        ({"size": [20, 30]}, ["--size", "20x30"]),
-        ({"background": [0.2, 0.3, 0.4], "falloff": 0.2, "held": "still"}, None),
+        ({"posed": "twist:30:up"}, "--posed twist:30:up"),
+        ({"posed": "poses.json#wave", "size": 20}, "--posed @poses.json:wave --size 20"),
+        ({"posed": "posed.obj", "size": [20, 30]}, "--posed @posed.obj --size 20x30"),
     ],
-    ids=["preset", "keyframe", "transparent", "another shape", "color"],
 )
-def test_words_mean_what_the_options_of_render_mean(files, tmp_path, more, argv):
+def test_poses_and_sizes_of_a_line_mean_what_those_of_render_mean(files, tmp_path, keys, argv):
     rest = Cage.load(files / "cage.obj")
     PoseFile(rest, {"wave": rest.bend(30, axis="x", towards="z"), "other": rest}).save(files / "poses.json")
     with Worker(files, tmp_path, "cpu") as worker:
-        worker.run(frame(**({"posed": "posed.obj"} | more)))
-    given = ["--camera", "@cameras.json:0", "--coordinates", "mean_value", "--resolution", 24, "--device", "cpu"]
-    if argv is None:
-        argv = ["--edit", f"{files}/cage.obj:{files}/posed.obj:falloff=0.2:held=still", "--background", "0.2,0.3,0.4"]
-    else:
-        argv = ["--cage", "@cage.obj", *([] if "--posed" in argv else ["--posed", "@posed.obj"]), *argv]
-    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *given, *argv) == 0
+        worker.run(frame(**keys))
+    given = "--cage @cage.obj --camera @cameras.json:0 --coordinates mean_value --resolution 24 --device cpu"
+    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *given.split(), *argv.split()) == 0
     assert (tmp_path / "x.png").read_bytes() == (tmp_path / "frame_0001.png").read_bytes()
+
+
+@pytest.mark.parametrize("ending", [".json", *MOVING_ENDINGS])
+def test_a_pose_is_a_keyframe_of_any_file_that_has_some(files, tmp_path, ending):
+    rest = Cage.load(files / "cage.obj")
+    poses = PoseFile(rest, {"frame 0": rest, "frame 1": rest.bend(30, axis="x", towards="z")})
+    poses.times = {"frame 0": 0.0, "frame 1": 1 / 24}
+    poses.save(files / f"walk{ending}")
+    keys = ("frame 1", "1") if ending in (".json", *CACHE_ENDINGS) else ("1",)
+    items = [frame(posed=f"walk{ending}#{key}", outputs={"pose": "1.npy"}) for key in keys]
+    with Worker(files, tmp_path, "cpu") as worker:
+        for item in items:
+            assert Missing(files).of(item) is None
+            assert not any(line.startswith("cannot be read") for line in Fingerprints(files).of_inputs(item))
+            worker.run(item)
+            np.testing.assert_allclose(np.load(tmp_path / "1.npy"), poses["frame 1"].vertices, atol=1e-6)
+        refused(lambda: worker.run(frame(posed=f"walk{ending}")), match="holds 2 keyframes: name one, as in walk")
+        refused(lambda: worker.run(frame(posed=f"walk{ending}#no")), match="there is no keyframe 'no'")
 
 
 def test_the_lattice_follows_the_size_of_the_picture_as_it_does_for_render(files, tmp_path):
@@ -198,18 +212,12 @@ def test_several_edits_and_a_field_as_it_is(files, tmp_path):
     np.testing.assert_array_equal(np.load(tmp_path / "two.npy"), expected.rgb)
 
 
-def test_splats(files, tmp_path):
-    splats = splats_in_box("cpu")
-    splats.save(files / "splats.ply")
-    rest, camera = Cage.load(files / "cage.obj"), CAMERAS[0]
+def test_what_splats_lack_is_refused(files, tmp_path):
+    splats_in_box("cpu").save(files / "splats.ply")
     with Worker(files, tmp_path, "cpu") as worker:
-        worker.run(frame(field="splats.ply", outputs={"rgb": "rgb.npy"}))
         with pytest.raises(ValueError, match="'masks' is for fields of voxels"):
             worker.run(frame(field="splats.ply", outputs={"masks": "masks.png"}))
         refused(lambda: worker.run(frame(field="splats.ply", scene_scale=0.5)), match="splats")
-    deformer = Deformer(SplatField.load(files / "splats.ply", device="cpu"), rest, coordinates="mean_value")
-    posed = rest.with_vertices(np.load(files / "poses.npy")[1])
-    np.testing.assert_array_equal(np.load(tmp_path / "rgb.npy"), deformer.pose(posed).render(camera).rgb)
 
 
 def test_cameras_of_scenes_are_in_the_world_of_the_field(files, tmp_path):
@@ -276,18 +284,18 @@ def test_files_that_change_are_read_again(files, tmp_path):
 def test_where_memory_is_short_all_else_is_let_go(files, tmp_path, monkeypatch):
     with Worker(files, tmp_path, "cpu") as worker:
         worker.run(frame("a"))
-        ordinary, tries = Deformer.render, []
+        ordinary, tries = Look.render, []
 
-        def short(deformer, *args, **options):
+        def short(look, *args, **options):
             tries.append(worker.fields.read_count)
             if len(tries) == 1:
                 raise RuntimeError("Failed to allocate 1073741824 bytes on device 'cuda:0'")
-            return ordinary(deformer, *args, **options)
+            return ordinary(look, *args, **options)
 
-        monkeypatch.setattr(Deformer, "render", short)
+        monkeypatch.setattr(Look, "render", short)
         worker.run(frame("b"))
         assert tries == [1, 2] and (tmp_path / "b.png").exists()
-        monkeypatch.setattr(Deformer, "render", lambda *args, **options: 1 / 0)
+        monkeypatch.setattr(Look, "render", lambda *args, **options: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             worker.run(frame("c"))
         assert worker.fields.read_count == 2
@@ -297,7 +305,8 @@ def test_pictures_are_encoded_beside_rendering(files, tmp_path, monkeypatch):
     """The next frames are rendered while the first is written, and no more than a few wait."""
     go = threading.Event()
     monkeypatch.setattr(
-        "warpcage.studio.jobs.worker.write_picture", lambda path, image: go.wait(60) and write_picture(path, image)
+        "warpcage.studio.jobs.worker.write_picture",
+        lambda path, image, depth, cuts: go.wait(60) and write_picture(path, image, cuts=cuts),
     )
     with Worker(files, tmp_path, "cpu", encoders=1) as worker:
         waiting = [worker.submit(frame(f"f{index}")) for index in range(1 + SPARE)]

@@ -113,7 +113,7 @@ def capture(
     """Make a scene of a video or of a folder of pictures: find the cameras, undistort the pictures.
 
     Of a video, sharp frames are picked that stand evenly along the way of the view. Their cameras are found by COLMAP
-    (Schoenberger and Frahm 2016; `pip install 'warpcage[capture]'`): neighbours and frames that look alike are
+    (Schoenberger and Frahm 2016; the extra `capture`): neighbours and frames that look alike are
     compared, of a small folder all pictures. Pictures of one size, maker, model and focal length share a camera.
     Cameras are found all at once (GLOMAP, Pan et al. 2024), and picture by picture where the matches disagree with
     those. The scene is written with +z up, the object around the origin and its box two units long, in the format
@@ -170,7 +170,7 @@ def capture(
     if chosen is not None and not source.is_dir():
         raise InputError(f"pictures chooses from a folder of pictures, and {str(source)!r} is a video: give frames")
     turntable = checked_flag(turntable, "turntable")
-    masked = masks if isinstance(masks, bool) else checked_path(masks, "masks")
+    masked = bool(masks) if isinstance(masks, bool | np.bool_) else checked_path(masks, "masks")
     load_pycolmap()
     job = {
         "source": str(source.resolve()),

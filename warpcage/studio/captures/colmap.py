@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.names import counted
+from ...core.names import counted, extra_line
 from ...core.reports import Progress, shows_bars
 from ...core.threads import cpu_threads
 from ...errors import InputError
@@ -242,7 +242,7 @@ def load_pycolmap() -> Any:
     try:
         import pycolmap
     except ImportError as error:
-        raise InputError('finding cameras needs pycolmap: pip install "warpcage[capture]"') from error
+        raise InputError(f"finding cameras needs pycolmap: {extra_line('capture')}") from error
     pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)
     return pycolmap
 

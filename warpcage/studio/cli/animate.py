@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import hashlib
 import json
 import pathlib
@@ -15,34 +16,35 @@ import numpy as np
 
 from ...cage.pose_file import DEFAULT_RATE, PoseFile
 from ...core.files import check_parent, require_file
-from ...core.names import TRANSPARENT, counted
+from ...core.names import counted
 from ...core.reports import bar
+from ...core.spec import defaults_of, options_of, plain
+from ...edits.edits import MAX_CELLS
 from ...edits.place import PlaceFile
 from ...errors import InputError
 from ...field.voxel_field import VoxelField
 from ...view import motion
 from ...view.camera import Camera
-from ..editor.exports import DEFAULT_SIZE, export_film, film_look
-from ..editor.exports import Film as SessionFilm
-from ..editor.objects import read_fields, require_alone
-from ..editor.pictures.scene import view_camera
-from ..editor.timeline import document_at, frame_rate, frame_times
 from ..films.document import Document
 from ..films.edits import Deformation
 from ..films.film import Film
 from ..films.folder import checked_film_path
-from ..films.render import require_voxels
+from ..films.render import Look, require_voxels
+from ..films.session.exports import DEFAULT_SIZE, export_film, film_shot
+from ..films.session.exports import Film as SessionFilm
+from ..films.session.scene import read_fields, require_alone, view_camera
+from ..films.session.timeline import document_at, frame_rate, frame_times
 from ..films.session_file import read_session
 from ..films.timeline import MovingScene, Timeline
 from ..films.video import checked_rate
-from ..jobs.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs, frame_spec
+from ..jobs.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs
 from ..jobs.items import ID
+from ..spec.film import FilmSpec
 from . import shared
 from .arguments import options
 from .arguments.render import OF_SESSIONS, Default
 from .cameras import camera_track, check_saved, image_size, save_cameras, warn_of_edges
 from .render import checked_opacity, seen_points, size_text, warn_of_masks
-from .shared import objects_of, read_deformation, read_objects
 
 #: Endings of job files.
 JOB_ENDINGS = (".jsonl", ".json")
@@ -75,27 +77,24 @@ def run_animate(args: argparse.Namespace) -> None:
         args.device = "cpu"
     if not here and (args.add or shared.is_stage(args.field)):
         raise InputError("--workers and --jobs render one field: leave them out for a scene of several objects")
-    field, stage = read_objects(args)
+    rate = args.fps if "fps" in given else None
+    reader = shared.edit_reader(args, args.interpolation, timed=not given & {"motion", "interpolation"}, fps=rate)
+    of_voxels = "--show masks" if args.show == "masks" else ""
+    field, deformation, objects = shared.read_shot(args, reader, of_voxels=of_voxels)
     if not here and getattr(args, "is_moved", False):
         raise InputError(
             "--workers and --jobs render the field as its file has it: write it where its dataset is first, with "
             "warpcage bake --frame"
         )
-    if args.show == "masks":
-        require_voxels(field, "--show masks")
-    shared.require_fillable(args, field)
-    rate = args.fps if "fps" in given else None
-    reader = shared.edit_reader(args, args.interpolation, timed=not given & {"motion", "interpolation"}, fps=rate)
-    deformation = read_deformation(args, field, reader)
-    objects = objects_of(args, field, stage, reader)
     timed: PoseFile | PlaceFile | None = None if deformation is None else deformation.film
     if objects is not None and (timed is not None or deformation is None):  # poses without times keep to --frames
         timed = objects.longest(timed)
     set_frames(args, timed, given)
     points = seen_points(field, deformation, args, objects)
     timeline = Timeline(args.frames, args.fps, deformation, timed, args.loop, args.motion, args.interpolation)
+    shot = shared.shot_of(args)
     track, scene = camera_track(args, field, timeline, points), MovingScene(field, timeline, objects)
-    film = Film(args.frames, track, scene, shared.chosen_look(args), args.shutter)
+    film = Film(args.frames, track, scene, Look.of(shot), args.shutter)
     cameras = film.cameras
     warn_of_edges(args, cameras[0], deformation)
     shared.set_lattice(args, cameras[0])
@@ -108,8 +107,8 @@ def run_animate(args: argparse.Namespace) -> None:
         return
     if args.overlay and args.show != "rgb":
         raise InputError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
-    deformer = None if deformation is None else shared.deformer_options(args)
-    spec = frame_spec(film.look, deformer, scale=film.scale, scene_scale=args.scene_scale) | {"outputs": parts}
+    shot = dataclasses.replace(shared.shot_of(args), disparity_scale=film.scale)
+    spec = shot.item_keys(deformed=deformation is not None) | {"outputs": parts}
     rate = {"frames": args.frames, "fps": str(args.fps)}
     job = FilmJob(args.field, spec, [] if deformation is None else deformation.edits, {"film": rate})
     if jobs is not None:
@@ -224,7 +223,7 @@ def _run_session(args: argparse.Namespace) -> None:
     transparent = checked_opacity(args, output)
     if args.background is not None and not transparent:
         raise InputError("--session cannot be combined with --background: the session decides that")
-    film = SessionFilm(width, height, args.overlay, transparent)
+    film = SessionFilm(width, height, bool(args.overlay), transparent)
     if jobs is not None:
         args.device = "cpu"  # nothing is rendered
     field = require_voxels(shared.read_field(args), "--session")
@@ -261,17 +260,21 @@ def _given_besides(args: argparse.Namespace) -> list[str]:
     ]
 
 
+#: Options that a folder of frames names at their defaults too.
+NAMED = (
+    "frames motion interpolation turn show overlay coordinates resolution density map antialias fill scene_scale "
+    "background format loop fps"
+).split()
+
+
 def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Deformation | None) -> dict:
     """All that decides how frames look, so that a folder never mixes two films."""
-    names = (
-        "frames motion interpolation turn show overlay coordinates resolution "
-        "density map antialias fill cage_up scene_scale"
-    )
-    settings = {name: getattr(args, name) for name in names.split()}
-    settings["background"] = TRANSPARENT if shared.is_transparent(args) else args.background
-    settings["format"] = args.format or "png"
-    settings |= {} if args.shutter is None else {"shutter": args.shutter}
-    settings["loop"], settings["fps"] = args.loop, None if args.loop is None else str(args.fps)
+    spec, defaults = shared.shot_of(args), defaults_of(FilmSpec)
+    values = {name: getattr(spec, name) for name in options_of(FilmSpec) if name != "overwrite"}
+    settings = {name: plain(value) for name, value in values.items() if name in NAMED or value != defaults[name]}
+    settings |= {"turn": args.turn, "cage_up": args.cage_up, "format": spec.format or "png"}
+    settings |= {"resolution": spec.deformer_options(MAX_CELLS)["resolution"], "fill": spec.fill or None}
+    settings |= {"fps": None if args.loop is None else str(args.fps)}
     settings["size"] = [cameras[0].width, cameras[0].height]
     settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()
     settings["field"] = hashlib.sha256(pathlib.Path(args.field).read_bytes()).hexdigest()
@@ -287,15 +290,14 @@ def checked_jobs_path(text: str) -> pathlib.Path:
 def session_job(
     document: Document, field: VoxelField, film: SessionFilm, path: str, scene_scale: float = 1.0
 ) -> tuple[FilmJob, Iterator[FilmFrame]]:
-    """The job of a session's film, and its frames, which are those of `editor.exports.film_pictures`.
+    """The job of a session's film, and its frames, which are those of `films.session.exports.film_pictures`.
     path: the field's file; scene_scale: as the field was loaded."""
     if film.overlay:
         raise InputError("--jobs of a session draws no cages: leave --overlay out")
-    settings, edits = document.settings, [edit for edit in document.edits if edit.visible]
-    options = {name: getattr(settings, name) for name in ("coordinates", "resolution", "density")}
-    look, outputs = film_look(document, field, film), {"outputs": {"rgb": f"{ID}.png"}}
-    spec = frame_spec(look, None, scene_scale=scene_scale) | outputs  # these first: files stay as they were
-    spec |= frame_spec(look, options if edits else None, scene_scale=scene_scale)
+    edits = [edit for edit in document.edits if edit.visible]
+    shot = dataclasses.replace(film_shot(document, field, film), scene_scale=scene_scale)
+    spec = shot.item_keys(deformed=False) | {"outputs": {"rgb": f"{ID}.png"}}  # these first: files stay as they were
+    spec |= shot.item_keys(deformed=bool(edits))
     times = frame_times(document.timeline)
 
     def frames() -> Iterator[FilmFrame]:

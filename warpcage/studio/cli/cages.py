@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
+import functools
 import json
 import os
 import pathlib
@@ -19,7 +20,7 @@ import numpy as np
 from ...cage.axes import axis_of, default_towards, with_up
 from ...cage.cage import Cage
 from ...cage.generate import checked_count
-from ...cage.pose_file import PoseFile, file_poses
+from ...cage.pose_file import PoseFile
 from ...cage.presets import is_preset
 from ...cage.snap import cut_matter, snap_to_gaps
 from ...cage.up_axis import load_standing
@@ -28,9 +29,9 @@ from ...core.files import check_parent, require_file, seen_note
 from ...core.names import counted
 from ...errors import InputError
 from ...field.surface import extract_mesh
-from ...mesh.io import ALL_OBJECTS, read_object
+from ...mesh.io import ALL_OBJECTS, MOTION_ENDINGS, read_object
 from ...mesh.io.formats import mesh_endings
-from ...render.surface_file import load_trimesh
+from ...render.surface_file import SURFACE_ENDINGS, load_trimesh
 from ...select.objects import is_splats, matter_around
 from ...select.selection import NodeSelection, select_nodes
 from ...splats.io import splat_path
@@ -38,11 +39,11 @@ from ...splats.splat_field import load_field
 from ...view.camera import CameraKey
 from ..films.edits import Deformation, PosedEdit, read_edits_file, write_edits_file
 from ..films.render import require_voxels
-from ..films.resolve import ending, note_jumps, pose_file, read_film, read_pose, read_poses, read_rest, say_standing
+from ..films.resolve import AssetResolver, RestCage, ending
 from ..films.session_file import free_session_path, is_session, session_edits, session_path
 from . import shared
 from .arguments import options
-from .cameras import named_camera
+from .cameras import asset_resolver, named_camera
 from .shared import parse_edit, posed_up
 
 if TYPE_CHECKING:
@@ -166,14 +167,12 @@ def read_mesh(name: str, object: str | None = None) -> trimesh.Trimesh:
     import trimesh
 
     path = require_file(name, "mesh file")
-    if path.suffix.lower() not in options.MESH_ENDINGS:
+    if path.suffix.lower() not in SURFACE_ENDINGS:
         raise InputError(
-            f"mesh file {str(path)!r} must end in {' or '.join(options.MESH_ENDINGS)}, or in .npz for a field"
+            f"mesh file {str(path)!r} must end in {' or '.join(SURFACE_ENDINGS)}, or in .npz for a field"
             f"{seen_note(path)}"
         )
-    if (
-        object is not None or path.suffix.lower() in options.MOTION_ENDINGS
-    ):  # strips and fans too, split vertices joined
+    if object is not None or path.suffix.lower() in MOTION_ENDINGS:  # strips and fans too, split vertices joined
         found = read_object(path, object=object or ALL_OBJECTS)
         return trimesh.Trimesh(found.vertices, found.faces, process=False)
     return load_trimesh(path)
@@ -214,7 +213,7 @@ def run_check(args: argparse.Namespace) -> int:
         Cage, args.cage, up=args.cage_up, reference=reference, anywhere=True, object=args.cage_object
     )
     if standing.turned:  # the table says what else there is
-        say_standing(args.cage, standing, "--cage-up")
+        asset_resolver().report_standing(args.cage, standing, "--cage-up")
     pose = None if args.posed is None else _pose(args, cage, standing.up)
     notes = ()
     if output is not None:
@@ -232,11 +231,12 @@ def run_check(args: argparse.Namespace) -> int:
 
 def _pose(args: argparse.Namespace, cage: Cage, expected: str) -> Cage:
     """The pose of --posed; expected: the axis that points up in the cage's file."""
-    if is_preset(args.posed) or pose_file(args.posed):
-        return read_pose(cage, args.posed, usable=False)
+    resolver = asset_resolver()
+    if is_preset(args.posed) or ending(resolver.split(args.posed)[0]) == ".json":
+        return resolver.pose(RestCage(cage), args.posed)
     likely = expected if ending(args.posed) == ending(args.cage) else None
     pose, standing = load_standing(Cage, args.posed, up=posed_up(args), reference=cage, expected=likely)
-    say_standing(args.posed, standing, "--posed-up")
+    resolver.report_standing(args.posed, standing, "--posed-up")
     return pose
 
 
@@ -263,11 +263,10 @@ def run_edits(args: argparse.Namespace) -> None:
         return
     specs = [] if args.file is None else read_edits_file(args.file)
     specs += [parse_edit(text) for text in args.edit or ()]
-    deformation = shared.edit_reader(args, "smooth").edits(specs)
+    reader = shared.edit_reader(args, "smooth")
+    deformation = reader.edits(specs)
     if output is not None:
-        # each says which axis points up in its cages, and which object they are, where that was said for all
-        said = ((edit, edit.up or args.cage_up, edit.object or args.cage_object) for edit in specs)
-        write_edits_file(output, [dataclasses.replace(edit, up=up, object=name) for edit, up, name in said])
+        write_edits_file(output, [reader.completed(edit) for edit in specs])
     _list(f"wrote {output}" if output is not None else str(args.file), deformation, [str(edit) for edit in specs])
 
 
@@ -281,7 +280,7 @@ def _list(what: str, deformation: Deformation, names: list[str]) -> None:
 
 def _size(part: PosedEdit) -> str:
     """How large the cage of an edit is, and how many poses it has."""
-    poses = 0 if part.keyframes is None else len(part.keyframes.cages) - 1
+    poses = len(part.poses)
     return f"{len(part.edit.cage.vertices)} vertices" + (f", {poses} poses" if poses > 1 else "")
 
 
@@ -294,14 +293,15 @@ MOTION_OPTIONS = {"posed", "fps", "loop"}
 
 def run_pose_keys(args: argparse.Namespace, output: pathlib.Path) -> None:
     """Add a key to a pose file, or all keys of a file that moves, and say what the film is then."""
-    rest, _ = read_cage(args)
-    file = PoseFile.load(output, rest) if output.exists() else PoseFile(rest)
+    resolver = asset_resolver()
+    rest = read_cage(args, resolver)
+    file = PoseFile.load(output, rest.cage) if output.exists() else PoseFile(rest.cage)
     if args.key is None:
-        _add_all(file, args)
+        _add_all(file, args, rest, resolver)
     elif args.remove:
         _remove(file, args, output)
     else:
-        _add_key(file, args)
+        _add_key(file, args, rest, resolver)
     file.fps = file.fps if args.fps is None else float(args.fps)
     file.loop = args.loop or file.loop
     if not len(file) and not file.cameras:
@@ -312,7 +312,7 @@ def run_pose_keys(args: argparse.Namespace, output: pathlib.Path) -> None:
 
 def _write_motion(args: argparse.Namespace, output: pathlib.Path) -> None:
     """Write the frames of a pose file, or of another file that moves, as a cage that moves."""
-    rest, _ = read_cage(args)
+    rest = read_cage(args, asset_resolver()).cage
     if not args.posed or is_preset(args.posed):
         raise InputError("a cage that moves needs --posed, a pose file (.json) or another file of poses")
     file = PoseFile.load(args.posed, rest, up=args.cage_up, fps=None if args.fps is None else float(args.fps))
@@ -322,7 +322,7 @@ def _write_motion(args: argparse.Namespace, output: pathlib.Path) -> None:
     print(f"wrote {output}: {_described(file)}")
 
 
-def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
+def _add_key(file: PoseFile, args: argparse.Namespace, rest: RestCage, resolver: AssetResolver) -> None:
     name = args.key
     if not name.strip():
         raise InputError("--key needs a name")
@@ -338,8 +338,8 @@ def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
         if alone:
             return  # a camera and no pose
     if name not in file or not alone:  # otherwise another time or easing of the pose that is there
-        posed = with_up(args.posed, args.up) if args.posed is not None and is_preset(args.posed) else args.posed
-        file[name] = stepped(file.rest if posed is None else read_pose(file.rest, posed, posed_up(args)), args)
+        posed = rest.cage if args.posed is None else resolver.pose(rest, args.posed, posed_up(args))
+        file[name] = stepped(posed, args)
     if args.at is not None:
         same = [other for other in timed if file.times[other] == args.at]
         if same:
@@ -365,7 +365,7 @@ def _add_camera(file: PoseFile, args: argparse.Namespace) -> None:
     file.cameras = [other for other in file.cameras if other.name != args.key] + [key]
 
 
-def _add_all(file: PoseFile, args: argparse.Namespace) -> None:
+def _add_all(file: PoseFile, args: argparse.Namespace, rest: RestCage, resolver: AssetResolver) -> None:
     """All keys of --posed, in the place of those of their names."""
     if args.posed is None:
         if args.at is None and args.easing is None and not args.steps and not args.remove and (args.fps or args.loop):
@@ -375,16 +375,11 @@ def _add_all(file: PoseFile, args: argparse.Namespace) -> None:
         if getattr(args, name):
             raise InputError(f"{'steps of the pose go' if name == 'steps' else f'--{name} goes'} with --key")
     up = posed_up(args)
-    film = read_film(file.rest, [args.posed], up, None, args.fps)
+    film = resolver.film(rest, [args.posed], up, args.fps)
     if film is None:
-        named = pose_file(args.posed)
-        poses = read_poses(file.rest, args.posed, up)
-        if len(poses) < 2 and named is None:
-            raise InputError(f"{args.posed!r} holds one pose: give it a name, --key NAME")
-        film = (
-            PoseFile.load(named[0], file.rest) if named and not named[1] else file_poses(args.posed, file.rest, up=up)
-        )
-        if film is None:
+        poses = resolver.poses(rest, args.posed, up)
+        film, key = resolver.keyframes(rest, args.posed, up)
+        if film is None or key or (len(poses) < 2 and ending(args.posed) != ".json"):
             raise InputError(f"{args.posed!r} holds one pose: give it a name, --key NAME")
     if bool(film.times) != bool(file.times) and len(file):
         raise InputError("keys with times and keys without do not go into one pose file: write another one")
@@ -396,7 +391,7 @@ def _add_all(file: PoseFile, args: argparse.Namespace) -> None:
         if name in film.easings:
             file.easings[name] = film.easings[name]
     file.fps, file.loop = film.fps or file.fps, film.loop or file.loop
-    note_jumps(file, args.posed)
+    resolver.report_jumps(file, args.posed)
 
 
 def _remove(file: PoseFile, args: argparse.Namespace, output: pathlib.Path) -> None:
@@ -430,7 +425,7 @@ def run_pose(args: argparse.Namespace) -> None:
         run_pose_keys(args, output)
         return
     given = [name for name in OPTIONS if getattr(args, name)]
-    if output.suffix.lower() in options.MOTION_ENDINGS and given and not args.steps and set(given) <= MOTION_OPTIONS:
+    if output.suffix.lower() in MOTION_ENDINGS and given and not args.steps and set(given) <= MOTION_OPTIONS:
         _write_motion(args, output)
         return
     if given:
@@ -442,20 +437,21 @@ def run_pose(args: argparse.Namespace) -> None:
             f"-o {output} is the cage at rest itself, which is needed beside a posed one: name another file"
         )
 
-    cage, found = read_cage(args)
-    stepped(cage, args).save(output, up=args.cage_up or found.get(ending(str(output))))
+    rest = read_cage(args, asset_resolver())
+    stepped(rest.cage, args).save(output, up=args.cage_up or rest.ups.get(ending(str(output))))
     steps = (f"{name} {value if isinstance(value, float) else tuple(value)}" for name, value in args.steps)
     print(f"wrote {output}: {', '.join(steps)}")
 
 
-def read_cage(args: argparse.Namespace) -> tuple[Cage, dict[str, str]]:
-    """The cage of the command, and the axis that points up in files of its ending.
-    With --object the axis is found by that field, and `args.up` becomes the field's unless --up is given too."""
+def read_cage(args: argparse.Namespace, resolver: AssetResolver) -> RestCage:
+    """The cage of the command. With --object the axis is found by that field, and `args.up` becomes the field's unless
+    --up is given too."""
     field = None if args.object is None else load_field(require_file(splat_path(args.object), "field file"))
     if field is not None and args.up is None:
         args.up = tuple(field.up)
     args.straightening = None if field is None else field.straightening  # for cameras of its scene
-    return read_rest(args.cage, args.cage_up, field, part=True, name=args.cage_object)
+    rest = resolver.rest(args.cage, args.cage_up, field, object=args.cage_object, part=True)
+    return dataclasses.replace(rest, field_up=args.up)
 
 
 def stepped(cage: Cage, args: argparse.Namespace) -> Cage:
@@ -526,7 +522,8 @@ def run_edit(args: argparse.Namespace) -> None:
         )
     own = stage_field(pathlib.Path(args.field)) if shared.is_stage(args.field) else args.field
     field = load_field(own, scene_scale=args.scene_scale, device=device)
-    cages = [read_rest(path, args.cage_up, field, part=True, name=args.cage_object)[0] for path in args.cage or ()]
+    rest = functools.partial(asset_resolver().rest, object=args.cage_object, part=True)
+    cages = [rest(path, args.cage_up, field).cage for path in args.cage or ()]
     if args.selection:
         cages.append(Cage.from_field(NodeSelection.load(args.selection, field)))
     if args.demo and (args.new or not kept.exists()):

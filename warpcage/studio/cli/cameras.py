@@ -25,7 +25,7 @@ from ...view.camera_file import camera_program
 from ..films.edits import Deformation
 from ..films.motion import cameras_along
 from ..films.moves import CameraMove, MovingCamera, camera_moves, within_sight
-from ..films.resolve import file_and_name
+from ..films.resolve import AssetResolver, file_and_name
 from ..films.timeline import SIDES, CameraTrack, Timeline, keyed_track, middle, moving_track
 from .arguments import options
 
@@ -34,6 +34,11 @@ DEFAULT_SIZE = (400, 400)
 
 #: An array of Warp holds as many.
 MAX_PIXELS = 2**31 - 1
+
+
+def asset_resolver() -> AssetResolver:
+    """What loads the files that a command names; prints what it reports."""
+    return AssetResolver(report=lambda message: print(f"warpcage: {message}", file=sys.stderr))
 
 
 def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
@@ -289,7 +294,8 @@ def camera_track(
         moving, notes = within_sight(moving, seen_cameras(args, field), anywhere=anywhere)
         for note in notes:
             print(f"warpcage: {note}", file=sys.stderr)
-        return moving_track(moving, field, [] if deformation is None else deformation.edits, timeline.cages)
+        edits = [] if deformation is None else deformation.edits
+        return moving_track(moving, field, edits, timeline.cages, asset_resolver())
     if any(given is not None for given in (args.turn, args.camera, args.view, args.frame, args.eye, args.target)):
         raise InputError("--cameras cannot be combined with --turn, --camera, --view, --frame, --eye or --target")
     if camera_file(args.cameras):

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from ...core.names import counted, error_line
+from ...core.names import counted, error_line, extra_line
 from .arguments import options
 
 
@@ -216,7 +216,7 @@ def _extras() -> Iterator[Finding]:
     for extra, purpose in EXTRAS.items() if _is_installed() else ():
         lacking = " ".join(need for need, _ in _lacking(extra))
         if lacking:
-            yield Finding("note", f"[{extra}]", f"{purpose}: needs {lacking}: pip install 'warpcage[{extra}]'")
+            yield Finding("note", f"[{extra}]", f"{purpose}: needs {lacking}: {extra_line(extra)}")
         else:
             yield Finding("ok", f"[{extra}]", purpose)
 

@@ -25,23 +25,25 @@ from ...field.surface import color_vertices
 from ...field.texture import simplified, textured
 from ...field.voxel_field import VoxelField
 from ...fitting.splats.from_voxels import to_splats
-from ...mesh.io import write_shown_mesh
+from ...mesh.io import MOTION_ENDINGS, write_shown_mesh
 from ...mesh.io.ply import write_ply
+from ...render.surface_file import SURFACE_ENDINGS
 from ...select.clean import CleanOptions, clean_voxels
 from ...select.objects import select_object
 from ...select.selection import NodeSelection, painted_voxels, splat_matter, tinted
+from ...select.selection_file import SELECTION_ENDINGS
 from ...splats.clean import clean_splats
 from ...splats.io import is_splat_file, splat_path
+from ...splats.io.formats import endings_written
 from ...splats.splat_field import AnyField, SplatField
 from ...view.camera import Camera, CameraFile
 from ...view.motion import frame_times
 from ...view.pictures import write_png
 from ..films.edits import Deformation
 from ..films.render import require_voxels
-from ..films.resolve import read_rest
 from . import shared
 from .arguments import options
-from .cameras import camera_file, check_saved, chosen_camera, save_cameras, scene_cameras
+from .cameras import asset_resolver, camera_file, check_saved, chosen_camera, save_cameras, scene_cameras
 from .shared import is_deformed, read_deformation
 
 
@@ -51,7 +53,7 @@ def _checked_fields(args: argparse.Namespace, volumes: tuple[str, ...] = ()) -> 
     args.field = str(splat_path(args.field))
     require_file(args.field, "field file")
     of_splats = is_splat_file(args.field)
-    endings = shared.splat_outputs() if of_splats else (".npz", *volumes)
+    endings = endings_written() if of_splats else (".npz", *volumes)
     return of_splats, options.check_output(args.output, endings, "field file")
 
 
@@ -101,13 +103,13 @@ def _bake_stage(args: argparse.Namespace) -> None:
     given = ("frames", "overwrite", "selection", "cage", "edit", "edits", "frame_file")
     if wrong := [name for name in given if getattr(args, name) not in (None, False)]:
         raise InputError(f"--{wrong[0]} does not go with a scene file, whose objects are merged as they are")
-    output = options.check_output(args.output, (".npz", *shared.splat_outputs()), "field file")
+    output = options.check_output(args.output, (".npz", *endings_written()), "field file")
     shared.require_field_scale(args)
     stage = Stage.load(args.field, device=shared.chosen_device(args))
     merged = stage.merged(resolution=args.voxels, convert=to_splats)
     if isinstance(merged, SplatField):
         if output.suffix.lower() == ".npz":
-            raise InputError(f"splats are merged as splats: give -o with one of {', '.join(shared.splat_outputs())}")
+            raise InputError(f"splats are merged as splats: give -o with one of {', '.join(endings_written())}")
         _write_splats(merged, output)
     elif output.suffix.lower() != ".npz":
         _write_splats(to_splats(merged), output)
@@ -178,15 +180,15 @@ def run_clean(args: argparse.Namespace) -> None:
 
 
 #: Formats that hold colours of vertices.
-WITH_COLORS = (*options.MOTION_ENDINGS, ".ply", ".obj")
+WITH_COLORS = (*MOTION_ENDINGS, ".ply", ".obj")
 
 
 def run_mesh(args: argparse.Namespace) -> None:
     import trimesh
 
-    output = options.check_output(args.output, options.MESH_ENDINGS, "mesh file")
+    output = options.check_output(args.output, SURFACE_ENDINGS, "mesh file")
     ending = output.suffix.lower()
-    moves = ending in options.MOTION_ENDINGS
+    moves = ending in MOTION_ENDINGS
     if args.colors and ending not in WITH_COLORS:
         raise InputError(f"--colors: {ending} has no colours, {' '.join(WITH_COLORS)} have")
     if args.texture is not None and (ending not in GLTF_ENDINGS or args.colors):
@@ -194,9 +196,7 @@ def run_mesh(args: argparse.Namespace) -> None:
     if args.frames is not None:
         shared.require_deformation(args, "--frames")
         if not moves or args.frames < 2:
-            raise InputError(
-                f"--frames takes 2 or more, and a file that holds motion ({' '.join(options.MOTION_ENDINGS)})"
-            )
+            raise InputError(f"--frames takes 2 or more, and a file that holds motion ({' '.join(MOTION_ENDINGS)})")
     if not moves and len(args.posed or ()) > 1:
         raise InputError(f"{ending} holds one pose: give one --posed, or a file that holds motion")
     field = require_voxels(shared.read_field(args), "mesh")
@@ -282,7 +282,7 @@ def _is_far(mesh: Any) -> bool:
 
 
 def run_select(args: argparse.Namespace) -> None:
-    output = options.check_output(args.output, options.SELECTION_ENDINGS, "selection file")
+    output = options.check_output(args.output, SELECTION_ENDINGS, "selection file")
     preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
     check_saved(args)
     regions = (args.in_box, args.sphere, args.in_cage, args.masks, args.depth)
@@ -343,7 +343,8 @@ def _regions(args: argparse.Namespace, field: AnyField) -> dict:
     if args.sphere is not None:
         given["sphere"] = args.sphere
     if args.in_cage is not None:
-        given["cage"] = read_rest(args.in_cage, args.cage_up, field, part=True, name=args.cage_object)[0]
+        rest = asset_resolver().rest(args.in_cage, args.cage_up, field, object=args.cage_object, part=True)
+        given["cage"] = rest.cage
     if args.masks is not None:
         given |= shared.scene_masks(args.masks, field)
     if args.depth is not None:

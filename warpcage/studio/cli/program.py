@@ -18,7 +18,7 @@ from types import FrameType
 from typing import Any, NoReturn, TextIO
 
 from ...core import reports
-from ...core.names import error_line
+from ...core.names import error_line, extra_line
 from ...errors import InputError, MissingPackageError
 from .arguments import cages, fields, info, render, runs, scenes  # noqa: F401  (they bring their commands)
 from .arguments.options import COMMANDS, package_version
@@ -260,7 +260,7 @@ def _line(error: Exception | str) -> str:
     if isinstance(error, OverflowError):
         return f"a number is too large{': ' if str(error) else ''}{text if str(error) else ''}"
     if isinstance(error, ImportError) and not isinstance(error, MissingPackageError) and str(error):
-        return f"{text}: install warpcage again with all that it needs (pip install warpcage)"
+        return f"{text}: install warpcage again with all that it needs ({extra_line()})"
     return text
 
 

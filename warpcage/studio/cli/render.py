@@ -23,14 +23,13 @@ from ...view.pictures import picture_cuts, write_png
 from ..films.edits import Deformation
 from ..films.film import Film, Moment
 from ..films.motion import cameras_along, path_cameras
-from ..films.render import Scene, drawn_cages, picture_task, require_voxels
+from ..films.render import Look, Scene, drawn_cages, picture_task
 from ..films.timeline import Objects
 from ..films.video import FILM_ENDINGS, film_size, require_clear_film
 from . import shared
 from .arguments import options
 from .arguments.render import STEPS
 from .cameras import camera_file, camera_keys, check_saved, chosen_camera, save_cameras, sized_cameras, warn_of_edges
-from .shared import objects_of, read_deformation, read_objects
 
 
 def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
@@ -76,7 +75,7 @@ SINGLE_CAMERA = (*SINGLE_POSE, "camera", "view", "frame", "eye", "target")
 def film_of(args: argparse.Namespace, cameras: Sequence[Camera], moment: Moment) -> Film:
     """The pictures of some cameras, one after the other."""
     return Film(
-        len(cameras), lambda frames: [cameras[int(frame)] for frame in frames], moment, shared.chosen_look(args)
+        len(cameras), lambda frames: [cameras[int(frame)] for frame in frames], moment, Look.of(shared.shot_of(args))
     )
 
 
@@ -84,8 +83,7 @@ def posed_moment(
     args: argparse.Namespace, field: shared.AnyField, deformation: Deformation | None, objects: Objects | None
 ) -> Moment:
     """The scene in its last pose at all times."""
-    renderer = shared.posed_renderer(field, deformation, args)
-    cages = shared.drawn_cages(renderer, deformation)
+    renderer, cages = shared.posed_scene(field, deformation, args)
     return lambda frame: (renderer if objects is None else objects.with_main(renderer), cages)
 
 
@@ -103,11 +101,8 @@ def run_flight(args: argparse.Namespace) -> None:
     check_saved(args)
     if args.cameras == "given" and args.frames is not None:
         raise InputError("--frames belongs to --cameras interpolate")
-    field, stage = read_objects(args)
-    shared.require_fillable(args, field)
+    field, deformation, objects = shared.read_shot(args)
     cameras = chosen_cameras(args)
-    deformation = read_deformation(args, field)
-    objects = objects_of(args, field, stage)
     shared.set_lattice(args, cameras[0])
     film = film_of(args, cameras, posed_moment(args, field, deformation, objects))
     save_cameras(args, cameras)
@@ -158,11 +153,8 @@ def run_many_poses(args: argparse.Namespace) -> None:
     shared.require_deformation(args, f"the folder {args.output!r}")
     checked_opacity(args, folder)
     check_saved(args)
-    field, stage = read_objects(args)
-    shared.require_fillable(args, field)
-    deformation = read_deformation(args, field, shared.edit_reader(args, "linear"))
+    field, deformation, objects = shared.read_shot(args, shared.edit_reader(args, "linear"))
     assert deformation is not None
-    objects = objects_of(args, field, stage)
     camera = chosen_camera(args, seen_points(field, deformation, args, objects))
     shared.set_lattice(args, camera)
     deformer = shared.make_deformer(field, deformation, args)
@@ -207,13 +199,7 @@ def run_render(args: argparse.Namespace) -> None:
         shared.require_deformation(args, "--masks")
     if args.save_stage is not None and not shared.is_stage(args.save_stage):
         raise InputError(f"--save-stage writes a file that ends in {STAGE_ENDING}, got {args.save_stage!r}")
-    field, stage = read_objects(args)
-    if args.masks is not None:
-        require_voxels(field, "--masks")
-    shared.require_fillable(args, field)
-    deformation = read_deformation(args, field)
-    objects = objects_of(args, field, stage)
-
+    field, deformation, objects = shared.read_shot(args, of_voxels="" if args.masks is None else "--masks")
     camera = chosen_camera(args, seen_points(field, deformation, args, objects))
     warn_of_edges(args, camera, deformation)
     shared.set_lattice(args, camera)

@@ -24,15 +24,25 @@ from ...core.threads import cpu_threads
 from ...errors import InputError
 from ...scene.formats.transforms import TransformsCameras
 from ...view.camera import Camera, CameraFile, framing_orbit
-from ..films.resolve import expected_ups, read_poses, read_rest
+from ..films.resolve import AssetResolver, RestCage
 from ..jobs.manifest import Part
 from ..jobs.plan import Forecast, foresee
 from ..jobs.run import RunProgress, RunReport, run_jobs
 from ..jobs.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, write_sweep
+from ..spec.shot import PRECISE
 from . import shared
 from .arguments import options
 from .arguments.runs import DEFAULT_BACKGROUNDS, OWN
-from .cameras import DEFAULT_SIZE, camera_file, file_size, fitted_to, image_size, moved_to_field, sized_cameras
+from .cameras import (
+    DEFAULT_SIZE,
+    asset_resolver,
+    camera_file,
+    file_size,
+    fitted_to,
+    image_size,
+    moved_to_field,
+    sized_cameras,
+)
 
 #: Lines about items that failed; the manifest has all.
 MAX_LINES = 10
@@ -44,7 +54,7 @@ def run_run(args: argparse.Namespace) -> int:
         if part is not None:
             raise InputError("--dry-run looks at the whole job: leave out --part")
         count = args.workers or 1
-        return _say(foresee(args.jobs, args.output, workers=count, cluster=args.cluster, device=args.device))
+        return _print_forecast(foresee(args.jobs, args.output, workers=count, cluster=args.cluster, device=args.device))
     with contextlib.closing(_Bar(args.quiet)) as bar:
         report = run_jobs(
             args.jobs,
@@ -105,30 +115,18 @@ def _conclude(report: RunReport, output: str) -> int:
     return 0 if report.complete else 1
 
 
-def _say(forecast: Forecast) -> int:
+def _print_forecast(forecast: Forecast) -> int:
     """Print what a run would do."""
     plan = forecast.plan
     print(f"{counted(plan.total, 'item')}: {plan.kept} are there already and unchanged")
-    made = plan.total - plan.kept
-    kinds = ", ".join(counted(count, kind) for kind, count in forecast.counts.items())
-    notes = [
-        f"{count} {what}"
-        for count, what in (
-            (plan.changed, "of them changed since they were made"),
-            (plan.failed_before, "of them failed before"),
-        )
-        if count
-    ]
-    if made:
-        print(
-            f"{made} would be made: {kinds}, in {counted(plan.group_count, 'group')}" + "".join(f", {n}" for n in notes)
-        )
+    if made := plan.total - plan.kept:
+        kinds = ", ".join(counted(count, kind) for kind, count in forecast.counts.items())
+        changed = f", {plan.changed} of them changed since they were made" if plan.changed else ""
+        failed = f", {plan.failed_before} of them failed before" if plan.failed_before else ""
+        print(f"{made} would be made: {kinds}, in {counted(plan.group_count, 'group')}{changed}{failed}")
     for kind, each in forecast.measured.items():
-        first = "".join(
-            f", and {seconds:.3g} s more for the first of a {what}"
-            for seconds, what in ((each.pose_seconds, "pose"), (each.load_seconds, "group"))
-            if seconds > 0
-        )
+        parts = (("pose", each.pose_seconds), ("group", each.load_seconds))
+        first = "".join(f", and {more:.3g} s more for the first of a {part}" for part, more in parts if more > 0)
         print(f"one {kind} takes {each.seconds:.3g} s{first} (measured: {each.source})")
     if forecast.measured:
         print(f"about {span_text(forecast.seconds)} by {counted(forecast.workers, 'worker')}")
@@ -153,21 +151,18 @@ def run_sweep(args: argparse.Namespace) -> None:
     background = _background(args)
     _check_arguments(args)
     field = shared.read_field(args)
-    rest, expected = read_rest(args.cage, args.cage_up, field, name=args.cage_object)
-    sources = _pose_sources(args, rest, expected)
+    resolver = asset_resolver()
+    rest = resolver.rest(args.cage, args.cage_up, field, object=args.cage_object)
+    sources = _pose_sources(args, rest, resolver)
     shown, up = shared.visible_points(field, None, None), tuple(field.up.tolist())
     given = _given_cameras(args)
     defaults = {
-        "density": args.density,
-        "map": args.map,
-        "antialias": args.antialias,
+        **shared.shot_of(args).item_keys(deformed=True),
         "background": background,
-        "resolution": None if args.resolution == options.BY_SIZE else args.resolution or "precise",
+        "coordinates": None,
         "up": args.cage_up,
         "object": args.cage_object,
         "falloff": args.falloff,
-        "supersampling": args.supersampling,
-        "scene_scale": None if args.scene_scale == 1.0 else args.scene_scale,
     }
     records = {"kind": args.records, "image": args.image, "depth": args.depth, "alpha": args.alpha}
     if args.records == "webdataset":
@@ -176,14 +171,14 @@ def run_sweep(args: argparse.Namespace) -> None:
         output,
         field=args.field,
         cage=args.cage,
-        rest=rest,
+        rest=rest.cage,
         sources=sources,
         cameras=given or (lambda bounds: _made_cameras(args, np.concatenate([shown, bounds]), up)),
         coordinates=args.coordinates,
         views=args.views,
         seed=args.seeds[0],
         records=records,
-        defaults={word: value for word, value in defaults.items() if value is not None},
+        defaults={key: value for key, value in defaults.items() if value is not None},
     )
     files = [str(path) for path in (made.poses, made.cameras) if path is not None]
     beside = f"; beside it {', '.join(files)}" if files else ""
@@ -213,7 +208,7 @@ def _check_arguments(args: argparse.Namespace) -> None:
         raise InputError("--views chooses among cameras that all poses share: random:N makes N new ones for each pose")
     if len(set(args.seeds)) < len(args.seeds):
         raise InputError(f"--seeds names one twice: {' '.join(map(str, args.seeds))}")
-    if args.resolution is None:
+    if args.resolution == PRECISE:
         remedy = f"--resolution precise is for {' and '.join(names_where('is_precise'))}"
         for name in args.coordinates:
             COORDINATE_KINDS[name].require_precise(remedy)
@@ -244,21 +239,23 @@ def _random_count(text: str, option: str) -> int | None:
     return int(found[1])
 
 
-def _pose_sources(args: argparse.Namespace, rest: Cage, expected: dict[str, str]) -> list[PoseSource]:
+def _pose_sources(args: argparse.Namespace, rest: RestCage, resolver: AssetResolver) -> list[PoseSource]:
     """The poses of --poses in their order."""
     up, sources = shared.posed_up(args), []
     files = [text for text in args.poses if _random_count(text, "--poses") is None and not _is_array(text)]
-    likely = expected_ups(rest, files, expected) if up is None else None
+    rest = resolver.with_ups(rest, files) if up is None else rest
     for text in args.poses:
         count = _random_count(text, "--poses")
         if count is not None:
             options_ = {"stretch": args.stretch, "reach": args.reach, "modes": args.modes}
-            drawn = [RandomPoses(rest, seed=seed, **options_) for seed in args.seeds]
+            drawn = [RandomPoses(rest.cage, seed=seed, **options_) for seed in args.seeds]
             sources += [_RandomWithBar(poses, count, args.write_poses, cpu_threads(), args.quiet) for poses in drawn]
         elif _is_array(text):
-            sources.append(_array_source(text, rest))
+            sources.append(_array_source(text, rest.cage))
         else:
-            cages = read_poses(rest, text, up, expected=likely)
+            cages = resolver.poses(rest, text, up)
+            for cage in cages:
+                cage.require_usable(f"cage {text!r}")
             sources.append(GivenSource([cage.vertices for cage in cages], text))
     return sources
 

@@ -8,6 +8,7 @@ import pathlib
 
 from ...core.files import atomic_path
 from ...core.names import FIT_BACKGROUNDS, counted
+from ...core.spec import names_of, options_of
 from ...errors import InputError
 from ...field.voxel_field import VoxelField
 from ...fitting.cameras import tuned_scene
@@ -23,10 +24,12 @@ from ...fitting.fit import fit
 from ...fitting.memory import memory_size
 from ...render.belonging import SceneViews
 from ...scene.formats.datasets.splatting import is_output
+from ...splats.io.formats import endings_written
 from ...splats.splat_field import SplatField
 from ...view.pictures import side_by_side, write_png
 from ..captures.capture import capture
 from ..films.render import require_voxels
+from ..spec.scene import SPLAT_FIT, VOXEL_FIT, FitSpec
 from . import shared
 from .arguments import options
 
@@ -103,12 +106,12 @@ def run_evaluate(args: argparse.Namespace) -> None:
 
 
 #: Options of `warpcage fit` that only one kind of field has.
-VOXEL_OPTIONS = ("resolution", "epochs", "variation", "bounds", "refine_cameras", "check_cameras")
-SPLAT_OPTIONS = ("steps", "most_splats")
+VOXEL_OPTIONS = (*names_of(FitSpec, VOXEL_FIT), "bounds", "refine_cameras", "check_cameras")
+SPLAT_OPTIONS = names_of(FitSpec, SPLAT_FIT)
 
 
 def run_fit(args: argparse.Namespace) -> None:
-    kind, endings = args.representation, shared.splat_outputs()
+    kind, endings = args.representation, endings_written()
     if kind is None:
         kind = "splats" if args.output.lower().endswith(endings) else "voxels"
     output = options.check_output(args.output, endings if kind == "splats" else (".npz",), "field file")
@@ -128,7 +131,7 @@ def run_fit(args: argparse.Namespace) -> None:
     behind = args.background if names_behind else "auto"
     color = "white" if names_behind or args.background is None else args.background
     scene = shared.read_scene(args, color, orient="up" if args.straighten else None)
-    names = ("resolution", "epochs", "variation", "max_memory", "steps", "most_splats", "refine_cameras")
+    names = (*options_of(FitSpec), "refine_cameras")
     given = {name: getattr(args, name) for name in names if getattr(args, name)}
     if args.check_cameras:
         given["refine_cameras"] = "auto"
@@ -137,9 +140,7 @@ def run_fit(args: argparse.Namespace) -> None:
     field = fit(
         scene,
         representation=kind,
-        quality=args.quality,
         device=device,
-        seed=args.seed,
         progress=not args.quiet,
         background=behind,
         checkpoint=checkpoint,

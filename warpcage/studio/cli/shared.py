@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike
 
 from ...cage.cage import Cage
 from ...cage.up_axis import object_points
-from ...core.checks import warn_caller
+from ...core.checks import warn_renamed
 from ...core.devices import resolve_device
 from ...core.files import PathLike, require_file
-from ...core.names import BACKGROUNDS, TRANSPARENT
+from ...core.names import TRANSPARENT
+from ...core.spec import options_of
 from ...deform.deformer import Deformer
 from ...deform.stage import Stage
 from ...edits.edits import MAX_CELLS, picture_cells
@@ -26,6 +27,7 @@ from ...edits.place import Place
 from ...edits.spec import EditSpec, held_walls
 from ...edits.stage_file import STAGE_ENDING, free_name
 from ...errors import InputError
+from ...mesh.io import ENDINGS
 from ...mesh.queries import inside_mesh
 from ...render.belonging import SceneViews, likeness, mismatch, moved_field, out_of_frame
 from ...render.surface_mesh import load_object
@@ -33,26 +35,25 @@ from ...scene.formats.transforms import FRAME_FILE, read_frame
 from ...scene.load import load_scene
 from ...scene.scene import Scene
 from ...splats.io import is_splat_file, splat_path
-from ...splats.io.formats import endings_written
 from ...splats.splat_field import AnyField, SplatField, load_field
 from ...view.alignment import Similarity
 from ...view.camera import Camera
 from ..films import render
 from ..films.edits import Deformation, EditReader, read_edits_file
-from ..films.render import Look
 from ..films.session_file import is_session, session_edits
 from ..films.timeline import Objects, shown_corners
-from .arguments import options
-from .arguments.options import CAGE_ENDINGS, positive_float
-from .cameras import named_scene
+from ..spec.film import FilmSpec
+from .arguments.options import positive_float
+from .cameras import asset_resolver, named_scene
 
 
 def edit_reader(
     args: argparse.Namespace, interpolation: str | None = None, *, timed: bool = False, fps: Fraction | None = None
 ) -> EditReader:
     """What reads the edits of a command."""
-    all_edits = {name: getattr(args, name, None) or 0.0 for name in ("falloff", "fragments")}
-    return EditReader(interpolation, args.cage_up, posed_up(args), args.cage_object, **all_edits, timed=timed, fps=fps)
+    defaults = {name: getattr(args, name, None) for name in ("falloff", "fragments")}
+    defaults |= {"up": args.cage_up, "object": args.cage_object}
+    return EditReader(asset_resolver(), interpolation, defaults, posed_up(args), timed, fps)
 
 
 def read_deformation(args: argparse.Namespace, field: AnyField, reader: EditReader | None = None) -> Deformation | None:
@@ -92,15 +93,16 @@ def posed_up(args: argparse.Namespace) -> str | None:
 #: How an edit is written in one argument.
 EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remove"
 
-#: Options after the cages.
-_LAST_OPTION = re.compile(r"(keep|remove)|(falloff|fragments|crumbs|held|object)=([^:]*)")
+#: The last option after the cages, and how their values are read.
+_LAST_OPTION = re.compile(r"(?:(.*):)?(?:(keep|remove)|(falloff|fragments|crumbs|held|object)=([^:]*))", re.DOTALL)
+_VALUES = {"falloff": positive_float, "fragments": positive_float, "held": lambda text: held_walls(text, "held")}
 
 #: A text that is none of them, after a posed cage: only glTF and pose files hold objects with names.
 _SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
 
 #: The cage is what goes up to the first ending of a cage file that a colon or the end follows: so the colon of a
 #: Windows drive (C:\cage.obj) separates nothing.
-_CAGE = re.compile(rf"(.+?(?:{'|'.join(map(re.escape, CAGE_ENDINGS))}))(?::(.*))?", re.IGNORECASE | re.DOTALL)
+_CAGE = re.compile(rf"(.+?(?:{'|'.join(map(re.escape, ENDINGS))}))(?::(.*))?", re.IGNORECASE | re.DOTALL)
 
 
 def parse_edit(text: str) -> EditSpec:
@@ -108,30 +110,23 @@ def parse_edit(text: str) -> EditSpec:
     ":object=NAME"."""
     found = _CAGE.fullmatch(text)
     if found is None:
-        raise InputError(f"--edit {text!r} names no cage file ({' '.join(CAGE_ENDINGS)}): write {EDIT_SHAPE}")
-    cage, rest = found[1], found[2]
+        raise InputError(f"--edit {text!r} names no cage file ({' '.join(ENDINGS)}): write {EDIT_SHAPE}")
+    cage, posed = found.groups()
     options: dict[str, Any] = {}
-    while rest is not None:
-        before, _, last = rest.rpartition(":")
-        found = _LAST_OPTION.fullmatch(last)
-        if found is None or pathlib.Path(rest).exists():
-            break
-        name = found[1] or found[2]
-        if name == "crumbs":
-            warn_caller("crumbs= is called fragments= now: the old name goes with the next version")
-            name = "fragments"
-        options[name] = found[3] if found[2] else True
-        rest = before or None
     try:
-        if rest is not None and (slip := _SLIP.fullmatch(rest)) and not pathlib.Path(rest).exists():
+        while posed and (found := _LAST_OPTION.fullmatch(posed)) and not pathlib.Path(posed).exists():
+            posed, flag, name, value = found.groups()
+            if name == "crumbs":
+                warn_renamed("crumbs=", "fragments=")
+                name = "fragments"
+            options[flag or name] = True if flag else _VALUES.get(name, str)(value)
+        if posed and (slip := _SLIP.fullmatch(posed)) and not pathlib.Path(posed).exists():
             raise InputError(
                 f"{slip[1]!r} is unknown in an edit, which takes keep, remove, falloff=, held=, fragments= and object="
             )
-        options |= {name: positive_float(options[name]) for name in ("falloff", "fragments") if name in options}
-        options |= {"held": held_walls(options["held"], "held")} if "held" in options else {}
-        if not rest and not options.get("remove"):
+        if not posed and not options.get("remove"):
             raise InputError(f"there is no posed cage: write {EDIT_SHAPE}")
-        return EditSpec(cage, rest or None, **options)
+        return EditSpec(cage, posed or None, **options)
     except (ValueError, argparse.ArgumentTypeError) as error:
         raise InputError(f"--edit {text!r}: {error}") from None
 
@@ -240,11 +235,6 @@ def is_field(path: str) -> bool:
     return path.lower().endswith(".npz") or is_splat_file(path)
 
 
-def splat_outputs() -> tuple[str, ...]:
-    """Endings of files of splats that are written, those of other packages last."""
-    return tuple(dict.fromkeys([*options.SPLAT_ENDINGS, *endings_written()]))
-
-
 def is_stage(path: str) -> bool:
     """Whether a file is that of a stage, by its ending."""
     return path.lower().endswith(STAGE_ENDING)
@@ -294,51 +284,39 @@ def visible_points(field: AnyField, deformation: Deformation | None, frame: str 
 
 def make_deformer(field: AnyField, deformation: Deformation, args: argparse.Namespace) -> Deformer:
     """The Deformer of the deformation options, not posed yet."""
-    return Deformer(field, deformation.edits, **deformer_options(args))
-
-
-def deformer_options(args: argparse.Namespace) -> dict[str, Any]:
-    """The options of a Deformer by its names."""
-    names = ("coordinates", "resolution", "density", "map")
-    return {name: getattr(args, name) for name in names} | {"resolution": lattice_cells(args)}
-
-
-def lattice_cells(args: argparse.Namespace) -> int | None:
-    """The lattice of --resolution, None for none; the finest usual one where `set_lattice` chose none."""
-    return MAX_CELLS if args.resolution == options.BY_SIZE else args.resolution
+    return Deformer(field, deformation.edits, **shot_of(args).deformer_options(MAX_CELLS))
 
 
 def set_lattice(args: argparse.Namespace, camera: Camera) -> None:
     """Choose the lattice by the size of a camera's picture, where --resolution is not given."""
-    if args.resolution == options.BY_SIZE:
+    if args.resolution is None:
         args.resolution = picture_cells(camera)
 
 
-def posed_renderer(field: AnyField, deformation: Deformation | None, args: argparse.Namespace) -> AnyField | Deformer:
-    """What renders the scene: the field itself, or a posed Deformer where something is deformed."""
+def posed_scene(
+    field: AnyField, deformation: Deformation | None, args: argparse.Namespace
+) -> tuple[AnyField | Deformer, list[Cage]]:
+    """What renders the scene in its last pose, the field itself where nothing moves, and the cages of an overlay."""
     if deformation is None or deformation.is_still:
-        return field
-    return make_deformer(field, deformation, args).pose(deformation.posed)
+        cages = [] if deformation is None else deformation.posed
+        return field, [cage for cage in cages if cage is not None]
+    deformer = make_deformer(field, deformation, args).pose(deformation.posed)
+    return deformer, render.drawn_cages(deformer)
 
 
 def is_transparent(args: argparse.Namespace) -> bool:
-    """Whether pictures have opacity instead of a background; refuses both, and unknown ones, before any long work."""
-    known = (*BACKGROUNDS, TRANSPARENT)
-    if isinstance(args.background, str) and args.background not in known:
-        raise InputError(
-            f"--background {args.background!r} is not known: {', '.join(known)}, or three numbers in [0, 1] such as "
-            "0.2,0.3,0.4"
-        )
+    """Whether pictures have opacity instead of a background; refuses both."""
     if args.transparent and args.background not in (None, TRANSPARENT):
         raise InputError("--transparent cannot be combined with --background: give one of them")
     return args.transparent or args.background == TRANSPARENT
 
 
-def chosen_look(args: argparse.Namespace) -> Look:
-    """How the options have frames rendered."""
-    background = TRANSPARENT if is_transparent(args) else args.background
-    show = getattr(args, "show", "rgb")
-    return Look(background, None, args.antialias, fill=bool(args.fill), show=show, overlay=bool(args.overlay))
+def shot_of(args: argparse.Namespace) -> FilmSpec:
+    """How the options of a command have pictures made; those that it does not have are the defaults."""
+    given = {name: getattr(args, name, None) for name in options_of(FilmSpec)}
+    if getattr(args, "transparent", False) and is_transparent(args):
+        given["background"] = TRANSPARENT
+    return FilmSpec(**{name: value for name, value in given.items() if value is not None})
 
 
 def require_fillable(args: argparse.Namespace, field: AnyField) -> None:
@@ -351,38 +329,26 @@ def require_fillable(args: argparse.Namespace, field: AnyField) -> None:
     render.require_fillable(field, "--fill")
 
 
-def drawn_cages(renderer: AnyField | Deformer, deformation: Deformation | None) -> list[Cage]:
-    """The cages that an overlay shows: as the Deformer has them, whose held walls stay at rest."""
-    if deformation is None:
-        return []
-    return render.drawn_cages(renderer) if isinstance(renderer, Deformer) else deformation.drawn(deformation.posed)
-
-
-def read_objects(args: argparse.Namespace) -> tuple[AnyField, Stage | None]:
-    """The field of a command that may show several objects, and the stage where its file is one of a stage."""
+def read_shot(
+    args: argparse.Namespace, reader: EditReader | None = None, *, of_voxels: str = ""
+) -> tuple[AnyField, Deformation | None, Objects | None]:
+    """The field of a command, its deformation, and the scene of several objects that they stand in; None: no such.
+    reader: None takes one pose an edit; of_voxels: an option of the command that needs a field of voxels."""
     if args.fill and (args.add or is_stage(args.field)):
         raise InputError("--fill is for one field: leave it out for a scene of several objects")
-    if not is_stage(args.field):
-        return read_field(args), None
-    if is_deformed(args):
-        raise InputError("the objects of a scene file have cages of their own: leave --cage, --edit and --edits out")
-    require_field_scale(args)
-    stage = Stage.load(args.field, device=chosen_device(args))
-    first = next(iter(stage.items.values()))
-    field: Any = first.field  # a mesh may be the first object too: it is shown as the stage has it
-    args.up = tuple(stage.up) if args.up is None else args.up
-    args.straightening = field.straightening if first.places.at(0.0) == Place() else None
-    return field, stage
-
-
-def objects_of(
-    args: argparse.Namespace, field: AnyField, stage: Stage | None, reader: EditReader | None = None
-) -> Objects | None:
-    """What stands beside the field of a command, None where it is alone."""
-    if stage is None and not args.add and not getattr(args, "save_stage", None):
-        return None
-    of_file, moving = stage is not None, []
+    reader, stage, deformation, moving = reader or edit_reader(args), None, None, []
+    if of_file := is_stage(args.field):
+        stage = _read_stage(args)
+        field: Any = next(iter(stage.items.values())).field  # a mesh is shown as the stage has it
+    else:
+        field = read_field(args)
+    if of_voxels:
+        render.require_voxels(field, of_voxels)
     if stage is None:
+        require_fillable(args, field)
+        deformation = read_deformation(args, field, reader)
+        if not args.add and not getattr(args, "save_stage", None):
+            return field, deformation, None
         stage = Stage(device=field.device).add(pathlib.Path(args.field).stem, field, path=args.field)
     for text in args.add or ():
         path, place, edits = parse_add(text)
@@ -390,8 +356,20 @@ def objects_of(
         path = require_file(splat_path(path), "field file")
         scene_object: Any = load_object(path, device=field.device)
         if edits is not None:
-            deformation = edits_of_file(edits, reader or edit_reader(args), scene_object)
-            scene_object = make_deformer(scene_object, deformation, args).pose(deformation.posed)
-            moving.append((scene_object, deformation))
+            added = edits_of_file(edits, reader, scene_object)
+            scene_object = make_deformer(scene_object, added, args).pose(added.posed)
+            moving.append((scene_object, added))
         stage.add(name, scene_object, place=place, path=path)
-    return Objects(stage, of_file=of_file, moving=moving)
+    return field, deformation, Objects(stage, of_file=of_file, moving=moving)
+
+
+def _read_stage(args: argparse.Namespace) -> Stage:
+    """The stage of a stage file; sets `args.straightening`, and `args.up` where --up is not given."""
+    if is_deformed(args):
+        raise InputError("the objects of a scene file have cages of their own: leave --cage, --edit and --edits out")
+    require_field_scale(args)
+    stage = Stage.load(args.field, device=chosen_device(args))
+    first = next(iter(stage.items.values()))
+    args.up = tuple(stage.up) if args.up is None else args.up
+    args.straightening = first.field.straightening if first.places.at(0.0) == Place() else None
+    return stage

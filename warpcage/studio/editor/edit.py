@@ -16,13 +16,15 @@ from collections.abc import Sequence
 from ...cage.cage import Cage
 from ...core.checks import checked_whole, require_type
 from ...core.files import PathLike
+from ...core.names import extra_line
 from ...errors import InputError, MissingPackageError
 from ...field.voxel_field import VoxelField
 from ...render.surface_mesh import load_object
 from ...splats.splat_field import AnyField, SplatField, load_field
 from ..films.document import Document
+from ..films.session.scene import read_fields
 from ..films.session_file import file_stamp, object_name, read_kept, session_path
-from .objects import is_stage, read_fields, stage_field, with_stage
+from .objects import is_stage, stage_field, with_stage
 from .session import Session, new_document, view_of_box
 from .steps.history import read_history
 
@@ -131,12 +133,12 @@ class Editor:
 
 
 def require_libraries() -> None:
-    """Raise ImportError where what `pip install warpcage[edit]` brings is not there."""
+    """Raise ImportError where a package of the extra `edit` is not installed."""
     try:
         import aiohttp  # noqa: F401
         import simplejpeg  # noqa: F401
     except ImportError as error:
-        raise MissingPackageError(f"the editor needs {error.name}: pip install 'warpcage[edit]'") from None
+        raise MissingPackageError(f"the editor needs {error.name}: {extra_line('edit')}") from None
 
 
 def edit(
@@ -172,7 +174,7 @@ def edit(
         ValueError: For a field or a session that cannot be read, a session that is there while cages are given, or a
             cage that cannot be used.
         OSError: If the port is taken.
-        ImportError: If what `pip install warpcage[edit]` brings is not there.
+        ImportError: If a package of the extra `edit` is not installed.
 
     Example:
         >>> with warpcage.edit("lego.npz", warpcage.Cage.load("cage.obj")) as editor:  # doctest: +SKIP

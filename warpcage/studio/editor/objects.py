@@ -13,7 +13,7 @@ import numpy as np
 
 from ...cage.cage import Cage
 from ...core.arrays import box_corners
-from ...core.checks import checked_flag, listed
+from ...core.checks import checked_flag
 from ...core.names import Easing, counted
 from ...deform.stage import Stage
 from ...edits.edits import CageEdit
@@ -25,20 +25,12 @@ from ...render.surface_mesh import AnyObject, SurfaceMesh, is_mesh_file, load_ob
 from ...select.objects import select_object
 from ...select.selection import NodeSelection
 from ...splats.io import is_splat_file
-from ...splats.splat_field import AnyField
 from ...view.motion import axis_rotation
-from ..films.checks import (
-    MAX_KEYS,
-    MAX_OBJECTS,
-    RESOLUTIONS,
-    changed_names,
-    checked_click,
-    checked_name,
-    checked_triple,
-)
+from ..films.checks import MAX_KEYS, MAX_OBJECTS, changed_names, checked_click, checked_name, checked_triple
 from ..films.document import MAIN, Document, Edit, Key, Message, SceneObject, Selection, Step, checked_place, new_edit
-from .pictures.scene import Fields, PosedScene, clicked_pixel
-from .timeline import place_files
+from ..films.session.scene import Fields, PosedScene, clicked_pixel
+from ..films.session.timeline import place_files
+from ..spec.settings import RESOLUTIONS
 
 if TYPE_CHECKING:
     from .tasks import Tasks
@@ -180,15 +172,6 @@ def field_files(folder: pathlib.Path) -> list[str]:
     fields = [path.name for path in files if holds_field(path)]
     others = [path for path in files if path.name not in fields and not path.name.startswith(".") and path.is_file()]
     return fields + [path.name for path in others if path.suffix.lower() in SURFACE_ENDINGS]
-
-
-def read_fields(document: Document, main: AnyField, folder: pathlib.Path) -> Fields:
-    """The fields of a document's objects; folder: of the session, which the names of files are seen from."""
-    fields = Fields(main)
-    for scene_object in document.objects:
-        if scene_object.file is not None and scene_object.file not in fields.files:
-            fields.files[scene_object.file] = load_object(folder / scene_object.file, device=main.device)
-    return fields
 
 
 def place_beside(document: Document, fields: Fields, field: AnyObject) -> Place:
@@ -383,10 +366,3 @@ class ObjectTasks:
 
         await tasks.read(save)
         return tasks.note_done(path, f"{path.name}: a scene of {counted(len(document.objects), 'object')}")
-
-
-def require_alone(document: Document, what: str) -> None:
-    """Raise ValueError where a scene holds other objects, for what goes with a field alone."""
-    if document.is_staged:
-        names = listed([one.name for one in document.objects])
-        raise InputError(f"{what} goes with a field in its own place, and this session holds {names}")

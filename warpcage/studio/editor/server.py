@@ -13,24 +13,26 @@ from typing import Any
 import numpy as np
 from aiohttp import WSMsgType, web
 
-from ...coordinate_kinds import COORDINATE_KINDS
 from ...core.checks import checked_flag, checked_number, checked_whole
 from ...core.names import error_line
+from ...core.spec import schema
+from ...easings import EASING_KINDS
 from ...errors import InputError
 from ...field.voxel_field import VoxelField
 from ..films.checks import MAX_LINE, MAX_SECONDS, checked_name, checked_vertices, parsed_json
 from ..films.document import Edit, checked_view
+from ..films.session.timeline import framed_views
+from ..spec.settings import Settings
 from .commands import COMMANDS
 from .inspection import Checker
-from .pictures.renderer import Renderer, Request
+from .renderer import Renderer, Request
 from .session import PARTS, Session
 from .tasks import Tasks
-from .timeline import framed_views
 from .web.access import Access, Files
 from .web.clients import MAX_SLOW, Client, packed_vertices, unpacked_vertices
 from .web.player import Player
 from .work.jobs import Jobs
-from .work.uploads import shown
+from .work.uploads import loadable, shown
 
 #: Bytes of a message and of a file that a page may send, and pages that may be connected.
 MAX_MESSAGE, MAX_UPLOAD, MAX_PAGES = 4 << 20, 64 << 20, 32
@@ -420,7 +422,9 @@ class Server:
                 | {"up": [float(x) for x in field.up], "layers": field.background_model is not None, **count},
                 "folder": str(self.folder),
                 "device": str(field.device),
-                "coordinates": [[kind.name, kind.label, kind.help] for kind in COORDINATE_KINDS.values()],
+                "settings": schema(Settings, lambda option: option.label)["properties"],
+                "easings": [[name, kind.label, kind.curve] for name, kind in EASING_KINDS.items()],
+                "endings": loadable(),
                 "saved": session.saved,
                 "save_error": session.save_error,
                 "pages": len(self.clients),

@@ -36,9 +36,10 @@ from ..films.document import (
     new_edit,
     selection_json,
 )
+from ..films.session import timeline
+from ..films.session.scene import Fields
 from ..films.session_file import Export, Stamp, file_stamp, free_session_path, write_session
-from . import commands, objects, timeline
-from .pictures.scene import Fields
+from . import commands, objects
 from .steps.history import History, seen_as
 from .steps.losses import losses
 
@@ -320,7 +321,8 @@ class Session:
             return self.history.summary()
         if name == "selection":
             return selection_json(document.selection)
-        return dataclasses.asdict(getattr(document, name))
+        part = getattr(document, name)
+        return part.to_json() if isinstance(part, Settings) else dataclasses.asdict(part)
 
     def _object_section(self, scene_object: SceneObject) -> dict[str, Any]:
         """An object as pages show it, with the box and the kind of its field."""

@@ -26,14 +26,15 @@ from ...splats.io import SPLAT_ENDINGS
 from ...splats.splat_field import field_size
 from ..films.checks import checked_id
 from ..films.document import Document, Step
+from ..films.session import exports, timeline
+from ..films.session.exports import requested_film
 from ..films.session_file import ENDING, MAX_EXPORTS, Export, Stamp, file_stamp
-from . import commands, exports, timeline
-from .exports import requested_film
+from . import commands
 from .objects import ObjectTasks, clicked
 from .session import Session
 from .steps.losses import losses
 from .work.jobs import Cancelled, Jobs, Outcome, Progress
-from .work.uploads import LOADABLE, MAX_NAME_BYTES, Uploads, shown
+from .work.uploads import MAX_NAME_BYTES, Uploads, loadable, shown
 
 #: Share of what is visible below which a click may have met a scrap of the object that was meant.
 SMALL_SHARE = 0.005
@@ -130,7 +131,7 @@ class Tasks:
         def look() -> list[dict[str, str]]:
             found = []
             for path in sorted(self.folder.iterdir()):
-                kind = LOADABLE.get(path.suffix.lower())
+                kind = next((kind for kind, endings in loadable().items() if path.suffix.lower() in endings), None)
                 if kind and path.is_file() and not path.name.startswith(".") and not path.name.endswith(ENDING):
                     found.append({"name": path.name, "kind": kind})
             return found[:MAX_FILES]

@@ -22,9 +22,6 @@ MAX_OBJECTS = 32
 #: Frames per second that a film may have.
 MAX_RATE = 240.0
 
-#: Cells of a lattice along the longest side.
-RESOLUTIONS = (8, 512)
-
 #: Largest number of a place, world units, either way from zero: its squares and cubes can be held in float32 too.
 MAX_PLACE = 1e12
 

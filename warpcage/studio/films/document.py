@@ -10,12 +10,12 @@ import numpy as np
 
 from ...cage.cage import Cage
 from ...core.checks import checked_easing, checked_flag, checked_number, checked_whole, shown
-from ...core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, LOOPS, Easing, checked_choice, renamed_keys
+from ...core.names import LOOPS, Easing, checked_choice, renamed_keys
 from ...edits.edits import HELD, MAX_EDITS, CageEdit
 from ...edits.place import Place
 from ...errors import InputError
 from ...mesh.mesh import ClosedMesh
-from ...view.frame import MAX_SUPERSAMPLING, parse_background
+from ..spec.settings import Settings, checked_settings
 from .checks import (
     MAX_ID,
     MAX_KEYS,
@@ -23,7 +23,6 @@ from .checks import (
     MAX_RATE,
     MAX_SECONDS,
     MAX_VERTICES,
-    RESOLUTIONS,
     checked_id,
     checked_items,
     checked_name,
@@ -31,10 +30,6 @@ from .checks import (
     checked_vertices,
     frozen_vertices,
 )
-
-SHOWN = ("rgb", "disparity", "alpha", "masks")
-
-MODES = ("pose", "rest", "place")
 
 #: Keys of sessions up to version 2, by their names now.
 OLD_KEYS = {"fragments": "crumbs", "object": "thing", "objects": "things"}
@@ -50,25 +45,6 @@ class View:
     fov: float = 40.0  # vertical, degrees
 
 
-#: The colour behind a scene: a name, three numbers in [0, 1], or None for the field's own.
-Background = str | Sequence[float] | None
-
-
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """How the scene is deformed and shown."""
-
-    coordinates: str = FIELD_COORDINATES
-    resolution: int = 64  # cells of the map's lattice along the longest side of a cage, in pictures that rest
-    density: str = "opacity"  # see `Deformer`
-    background: Background = None  # a name, three numbers in [0, 1]; None: the field's own
-    supersampling: int = 1  # rays along each side of a pixel, in pictures that rest
-    show: str = "rgb"  # one of SHOWN
-    mode: str = "pose"  # "pose": the posed cage and deformed scene; "rest": the cage at rest and the scene as captured;
-    # "place": the deformed scene, whose objects are moved as wholes
-    fill: bool = False  # background that no picture showed, in pictures that rest; see `fill_unseen`
-
-
 def checked_view(content: Any) -> View:
     """A view from eye, target, up and fov of a dictionary, others ignored; its `up` gets the length 1."""
     eye, target, up = (checked_triple(content[name], name) for name in ("eye", "target", "up"))
@@ -82,46 +58,6 @@ def checked_view(content: Any) -> View:
         raise InputError("a view cannot look along its own `up`")
     x, y, z = (float(value / length) for value in up)
     return View(eye, target, (x, y, z), checked_number(content["fov"], "fov", 1.0, 150.0))
-
-
-def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings:
-    """Settings with new values by name, checked."""
-    known = {field.name for field in dataclasses.fields(Settings)}
-    unknown = sorted(set(changes) - known)
-    if unknown:
-        raise InputError(f"there is no setting {unknown[0][:40]!r}, only {', '.join(sorted(known))}")
-    good: dict[str, Any] = {}
-    for name, value in changes.items():
-        if name == "background":
-            good[name] = checked_background(value)
-        elif name == "fill":
-            good[name] = checked_flag(value, name)
-        elif name == "resolution":
-            good[name] = checked_whole(value, name, *RESOLUTIONS)
-        elif name == "supersampling":
-            good[name] = checked_whole(value, name, 1, min(4, MAX_SUPERSAMPLING))
-        else:
-            choices = {"coordinates": COORDINATES, "density": DENSITIES, "show": SHOWN, "mode": MODES}[name]
-            good[name] = checked_choice(value, name, choices)
-    return dataclasses.replace(settings, **good)
-
-
-def checked_background(value: Any) -> Background:
-    if value is None:
-        return None
-    if isinstance(value, str):
-        if len(value) == 7 and value[0] == "#":
-            try:
-                r, g, b = bytes.fromhex(value[1:])
-            except ValueError:
-                raise InputError(f"background {value!r} is no colour: #rrggbb") from None
-            return r / 255, g / 255, b / 255
-        parse_background(value)  # raises ValueError where there is no such name
-        return value
-    if not isinstance(value, list | tuple) or len(value) != 3:
-        raise InputError("background must be a name, #rrggbb, or three numbers in [0, 1]")
-    r, g, b = (checked_number(part, "background", 0.0, 1.0) for part in value)
-    return r, g, b
 
 
 KINDS = ("move", "copy", "remove")
@@ -342,7 +278,7 @@ class Document:
         content = {
             "edits": [_without_main(edit_json(edit)) for edit in self.edits],
             "selection": _without_main(selection_json(self.selection)),
-            "settings": dataclasses.asdict(self.settings),
+            "settings": self.settings.to_json(),
             "view": dataclasses.asdict(self.view),
             "timeline": {
                 "keys": [key_json(key) for key in self.timeline.keys],

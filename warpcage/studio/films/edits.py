@@ -19,78 +19,66 @@ from ...cage.cage import Cage
 from ...cage.pose_file import PoseFile, cage_hash
 from ...cage.presets import Preset, is_preset
 from ...core.files import PathLike, atomic_path, path_from, read_document, require_file
+from ...core.spec import options_json
 from ...edits.edits import MAX_EDITS, CageEdit, edit_from_spec
 from ...edits.spec import EditSpec
 from ...errors import InputError
 from ...splats.splat_field import AnyField
 from ...view.motion import value_along
 from .motion import pose_along
-from .resolve import expected_ups, only_pose, read_film, read_poses, read_rest
+from .resolve import AssetResolver
 
 
-class Keyframes:
-    """A cage at rest, the poses that follow it, and all poses between them."""
+class PosedEdit:
+    """One edit, and the poses that its cage goes through; an edit that removes has none."""
 
     def __init__(
         self,
-        rest: Cage,
-        texts: list[str],  # values of --posed, in order
-        interpolation: str,  # "smooth" or "linear"
-        up: str | None = None,  # "y" or "z"; None finds it from the rest cage, file by file
-        expected: Mapping[str, str] | None = None,  # axis by ending of cage files where nothing speaks for another
-        *,
-        timed: bool = False,  # poses that have times make a film of their own: see `read_film`
-        fps: Fraction | None = None,  # rate of numbered cage files in such a film; None is the usual one
+        edit: CageEdit,
+        poses: Sequence[Cage] = (),
+        interpolation: str = "smooth",  # or "linear"
+        presets: Sequence[Preset] = (),  # of all poses, where all are presets
+        film: PoseFile | None = None,  # of poses with times of their own; None: they follow one another evenly
     ):
-        self.rest, self.interpolation = rest, interpolation
+        self.edit, self.poses, self.interpolation, self.film = edit, list(poses), interpolation, film
         self.preset: Preset | None = None  # whose amount is interpolated
-        self.amounts: list[tuple[float, ...]] = []  # one per cage
-        self.film = read_film(rest, texts, up, expected, fps) if timed else None  # None: the poses follow evenly
-        if self.film is not None:
-            self.cages = [rest, *(self.film[name] for name in self.film.timed)]
-            for name in self.film.timed:
-                self.film[name].require_usable(f"keyframe {name!r} of {texts[0]!r}")
-            return
-        likely = expected_ups(rest, texts, expected) if up is None else None
-        self.cages = [rest] + [pose for text in texts for pose in read_poses(rest, text, up, expected=likely)]
-        presets = [Preset(text) for text in texts if is_preset(text)]
+        self.amounts: list[tuple[float, ...]] = []  # at rest, and of each pose
         moving = [preset for preset in presets if preset.kind != "rest"]
-        if len(presets) == len(texts) and len({preset.family for preset in moving}) == 1:
+        if len({preset.family for preset in moving}) == 1:
             self.preset = moving[0]
             still = (self.preset.neutral,) * len(self.preset.amount)
             self.amounts = [still] + [still if preset.kind == "rest" else preset.amount for preset in presets]
 
-    def at(self, place: float) -> Cage:
-        """The cage at a place: 0 at rest, 1 the first pose, and so on, or between them."""
-        # Each vertex by itself; of one preset with different amounts the amount, so that a bend stays an arc.
-        if self.preset is None:
-            return pose_along(self.cages, place, self.interpolation)
-        amount = value_along([np.array(amount) for amount in self.amounts], place, self.interpolation)
-        return self.preset.at(self.rest, amount.tolist())
-
     @property
-    def vertices(self) -> np.ndarray:
-        """(n, 3) vertices of all cages, world units."""
-        return np.concatenate([cage.vertices for cage in self.cages])
-
-
-@dataclasses.dataclass(frozen=True)
-class PosedEdit:
-    """One edit, and the poses that its cage goes through (None for an edit that removes)."""
-
-    edit: CageEdit
-    keyframes: Keyframes | None
+    def cages(self) -> list[Cage]:
+        """The cage at rest and its poses; none of an edit that removes."""
+        return [] if self.edit.remove else [self.edit.cage, *self.poses]
 
     def at(self, place: float) -> Cage | None:
         """The cage at a place, 0 at rest and 1 the first pose; after its last pose it stays. None: it is removed."""
-        if self.keyframes is None:
+        # Each vertex by itself; of one preset with different amounts the amount, so that a bend stays an arc.
+        if self.edit.remove:
             return None
-        return self.keyframes.at(min(place, len(self.keyframes.cages) - 1.0))
+        place = min(place, float(len(self.poses)))
+        if self.preset is None:
+            return pose_along(self.cages, place, self.interpolation)
+        amount = value_along([np.array(amount) for amount in self.amounts], place, self.interpolation)
+        return self.preset.at(self.edit.cage, amount.tolist())
 
     @property
-    def film(self) -> PoseFile | None:
-        """Keys at times, None where the poses follow one another evenly."""
-        return None if self.keyframes is None else self.keyframes.film
+    def moves(self) -> bool:
+        """Whether a pose is another than the cage at rest."""
+        rest = self.edit.cage
+        return any(pose is not rest and not np.array_equal(pose.vertices, rest.vertices) for pose in self.poses)
+
+    def pose_hash(self) -> str:
+        """A hash of the poses."""
+        if self.edit.remove:
+            return ""
+        preset = None if self.preset is None else (self.preset.family, self.amounts)
+        film = self.film
+        moments = None if film is None else (sorted(film.times.items()), sorted(film.easings.items()))
+        return _hash([*map(cage_hash, self.cages), preset, moments])
 
 
 class Deformation:
@@ -99,8 +87,7 @@ class Deformation:
     def __init__(self, parts: Sequence[PosedEdit]):
         self.parts = list(parts)
         self.edits = [part.edit for part in self.parts]
-        # The cage at rest and the poses of the edit that has most of them.
-        self.pose_count = max((len(part.keyframes.cages) for part in self.parts if part.keyframes), default=1)
+        self.pose_count = 1 + max(len(part.poses) for part in self.parts)  # of the edit that has most, and at rest
 
     @property
     def posed(self) -> list[Cage | None]:
@@ -131,38 +118,38 @@ class Deformation:
     @property
     def is_still(self) -> bool:
         """Whether nothing moves: the scene is the field as it is."""
-        return not any(part.edit.remove or _moves(part) for part in self.parts)
-
-    def drawn(self, cages: Sequence[Cage | None]) -> list[Cage]:
-        """The cages that an overlay shows: posed ones, and at rest those whose content is removed."""
-        return [edit.cage if cage is None else cage for edit, cage in zip(self.edits, cages, strict=True)]
+        return not any(part.edit.remove or part.moves for part in self.parts)
 
     @property
     def vertices(self) -> np.ndarray:
         """(n, 3) vertices of all cages, at rest and posed, world units."""
-        cages = [part.edit.cage for part in self.parts]
-        cages += [cage for part in self.parts if part.keyframes for cage in part.keyframes.cages]
+        cages = [*(edit.cage for edit in self.edits), *(cage for part in self.parts for cage in part.cages)]
         return np.concatenate([cage.vertices for cage in cages])
 
     def fingerprints(self) -> dict[str, list[str]]:
         """Hashes of the edits, "cage", and of their poses, "posed": all that decides how the scene moves."""
         settings = ([e.keep_source, e.remove, e.falloff, e.held, e.fragments] for e in self.edits)
         cages = [_hash([cage_hash(edit.cage), *each]) for edit, each in zip(self.edits, settings, strict=True)]
-        return {"cage": cages, "posed": [_pose_hash(part) for part in self.parts]}
+        return {"cage": cages, "posed": [part.pose_hash() for part in self.parts]}
 
 
 @dataclasses.dataclass(frozen=True)
 class EditReader:
-    """Reads edits by their specs; its attributes hold for all edits that say nothing else."""
+    """Reads edits by their specs."""
 
+    resolver: AssetResolver = dataclasses.field(default_factory=AssetResolver)
     interpolation: str | None = None  # "smooth" or "linear" between several poses of an edit; None takes one pose
-    up: str | None = None  # axis that points up in cage files, "y" or "z", and in those of poses; None finds it
-    posed_up: str | None = None
-    object: str | None = None  # the object of its file that is the cage; None is the only one
-    falloff: float = 0.0  # world units, as `CageEdit` has it, and so `fragments`
-    fragments: float = 0.0
-    timed: bool = False  # poses that have times make a film of their own: see `read_film`
-    fps: Fraction | None = None  # rate of numbered cage files in such a film; None is the usual one
+    defaults: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # of options that are None in a spec, by name
+    posed_up: str | None = None  # axis that points up in files of poses; None is that of cages at rest
+    timed: bool = False  # poses that have times make a film of their own: see `AssetResolver.film`
+    fps: Fraction | None = None  # rate of numbered cage files in such a film; None is the default
+
+    def completed(self, spec: EditSpec) -> EditSpec:
+        """A spec with the defaults where it has no values; what it removes has no falloff."""
+        missing = {name: value for name, value in self.defaults.items() if getattr(spec, name) is None}
+        if spec.remove:
+            missing.pop("falloff", None)
+        return dataclasses.replace(spec, **missing)
 
     def edits(self, specs: Sequence[EditSpec], field: AnyField | None = None) -> Deformation:
         """Several edits; messages say which is wrong. Without a field axes are those of the formats."""
@@ -176,23 +163,31 @@ class EditReader:
 
     def edit(self, spec: EditSpec, texts: list[str], field: AnyField | None, part: bool = False) -> PosedEdit:
         """An edit with the cages that its spec names. texts: those of its poses; part: whether it is one of several."""
-        upward = None if field is None else field.up.tolist()
-        rest, expected = read_rest(spec.cage, spec.up or self.up, field, part=part, name=spec.object or self.object)
-        texts = [with_up(text, upward) if is_preset(text) else text for text in texts]
-        falloff = 0.0 if spec.remove else self.falloff if spec.falloff is None else spec.falloff
-        if spec.held != "cut" and not falloff and not spec.remove:
+        resolver, up = self.resolver, spec.up or self.posed_up
+        spec = self.completed(spec)
+        rest = resolver.rest(spec.cage, spec.up, field, object=spec.object, part=part)
+        if spec.held != "cut" and not spec.falloff:
             raise InputError(
                 "held names the sides that an edit fades towards: give it a falloff=WIDTH, or leave held out"
             )
-        size = self.fragments if spec.fragments is None else spec.fragments
-        edit = edit_from_spec(dataclasses.replace(spec, falloff=falloff, fragments=size), rest)
+        edit, up = edit_from_spec(spec, rest.cage), up or spec.up
         if spec.remove:
-            return PosedEdit(edit, None)
-        up = spec.up or self.posed_up or self.up
-        keyframes = Keyframes(rest, texts, self.interpolation or "smooth", up, expected, timed=self.timed, fps=self.fps)
-        if self.interpolation is None and len(keyframes.cages) > 2:
-            keyframes.cages[1:] = [only_pose(rest, texts[0], up, keyframes.cages[1:])]
-        return PosedEdit(edit, keyframes)
+            return PosedEdit(edit)
+        film = resolver.film(rest, texts, up, self.fps) if self.timed else None
+        if film is not None:
+            poses = [(f"keyframe {name!r} of {texts[0]!r}", film[name]) for name in film.timed]
+        elif self.interpolation is not None:
+            likely = resolver.with_ups(rest, texts) if up is None else rest
+            poses = [(f"cage {text!r}", pose) for text in texts for pose in resolver.poses(likely, text, up)]
+        elif len(texts) == 1:
+            poses = [(f"cage {texts[0]!r}", resolver.pose(rest, texts[0], up))]
+        else:
+            raise InputError(f"one pose is needed, got {len(texts)}: {' '.join(texts)}")
+        for name, pose in poses:
+            pose.require_usable(name)
+        all_presets = film is None and all(map(is_preset, texts))
+        presets = [Preset(with_up(text, rest.field_up)) for text in texts] if all_presets else []
+        return PosedEdit(edit, [pose for _, pose in poses], self.interpolation or "smooth", presets, film)
 
 
 @contextlib.contextmanager
@@ -202,25 +197,6 @@ def named(what: str) -> Iterator[None]:
         yield
     except ValueError as error:
         raise InputError(f"{what}: {error}") from error
-
-
-def _moves(part: PosedEdit) -> bool:
-    """Whether a cage has a pose that is another than the cage at rest."""
-    cages = [] if part.keyframes is None else part.keyframes.cages
-    return any(
-        cage is not part.edit.cage and not np.array_equal(cage.vertices, part.edit.cage.vertices) for cage in cages
-    )
-
-
-def _pose_hash(part: PosedEdit) -> str:
-    """A hash of the poses of an edit."""
-    keyframes = part.keyframes
-    if keyframes is None:
-        return ""
-    preset = None if keyframes.preset is None else (keyframes.preset.family, keyframes.amounts)
-    film = keyframes.film
-    moments = None if film is None else (sorted(film.times.items()), sorted(film.easings.items()))
-    return _hash([*map(cage_hash, keyframes.cages), preset, moments])
 
 
 def _hash(parts: Sequence[object]) -> str:
@@ -264,9 +240,7 @@ def _checked_spec(entry: Any, number: int, folder: pathlib.Path) -> EditSpec:
 
 def _json(edit: EditSpec, folder: pathlib.Path) -> dict[str, Any]:
     """An edit as JSON takes it: what differs from the default, a width of 0 too."""
-    widths = {name: getattr(edit, name) for name in ("falloff", "fragments")}
-    content = _replaced(edit, lambda path: path_from(folder, path)).to_json()
-    content |= {name: value for name, value in widths.items() if value is not None}
+    content = options_json(_replaced(edit, lambda path: path_from(folder, path)))
     return content | ({"held": edit.held_text} if "held" in content else {})
 
 

@@ -9,6 +9,7 @@ import os
 import pathlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -34,14 +35,15 @@ from ...splats.splat_field import SplatField
 from ...view import frame_parts
 from ...view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
 from ...view.camera_path import camera_at
-from ...view.exr import mean_picture, require_openexr
+from ...view.exr import require_openexr
 from ...view.frame import Frame
 from ...view.motion import frame_rate, frame_times
 from ...view.pictures import picture_cuts
 from .folder import checked_film_path, frame_path, make_folder
 from .motion import path_cameras
 from .moves import CameraMove, MovingCamera, camera_moves
-from .render import Look, Scene, drawn_cages, finished, picture_task
+from .render import Look, Scene, Shot, blurred_picture, drawn_cages, finished, picture_task, pose_bytes, render_shot
+from .resolve import AssetResolver
 from .timeline import SIDES, CameraTrack, middle, moving_track, shown_corners
 from .video import checked_rate, require_clear_film, write_film
 
@@ -102,7 +104,7 @@ class Film:
         # by a few frames, always the same ones, so that a folder that is continued keeps its colours
         if self._scale is None and self.look.show in ("depth", "disparity"):
             probes = sorted({round(share * (self.count - 1)) for share in (0.0, 0.25, 0.5, 0.75)})
-            frames = [self._frame(index, self.cameras[index])[0] for index in probes]
+            frames = [self._shot(index, self.cameras[index]).frame for index in probes]
             self._scale = frame_parts.disparity_scale(frames)
         return self._scale
 
@@ -113,17 +115,14 @@ class Film:
 
     def taken(self, index: int) -> tuple[np.ndarray, Frame, Camera]:
         """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4), and the frame itself."""
-        camera = self.camera(index)
+        scale = self.scale
         if self.shutter is None:
-            return self._shown(index, camera)
+            shot = self._shot(index, self.camera(index))
+            return self.look.picture(*shot, scale), shot.frame, shot.camera
         moments = self.moments(index)
-        pictures, middle = [], None
-        for number, (moment, moved) in enumerate(zip(moments, self.track(moments), strict=True)):
-            image, frame, _ = self._shown(moment, moved)
-            pictures.append(image)
-            middle = (frame, moved) if number == len(moments) // 2 else middle
-        assert middle is not None
-        return mean_picture(pictures), *middle
+        shots = map(self._shot, moments, self.track(moments))
+        image, shot = blurred_picture(self.look, shots, len(moments), scale)
+        return image, shot.frame, shot.camera
 
     def picture(self, index: int) -> np.ndarray:
         """What the film shows of a frame, read-only; where that is what it showed last, the same array."""
@@ -139,27 +138,22 @@ class Film:
         scene, cages = self._at(index)
         camera = self.camera(index)
         lens = camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
-        drawn = tuple(cage.vertices.tobytes() for cage in cages)
-        return _shown_of(scene), lens, camera.camera_to_world.tobytes(), drawn
+        return _shown_of(scene), lens, camera.camera_to_world.tobytes(), pose_bytes(cages)
 
-    def _frame(self, frame: float, camera: Camera) -> tuple[Frame, Sequence[Cage]]:
-        scene, cages = self._at(frame)
-        return self.look.render(scene, camera), cages
+    def _shot(self, number: float, camera: Camera) -> Shot:
+        scene, cages = self._at(number)
+        shot = render_shot(self.look, scene, camera, cages)
+        if self.look.show == "masks":
+            for name, share in frame_parts.mask_shares(shot.frame).items():
+                self._shares.setdefault(name, []).append(share)
+        return shot
 
     def _at(self, frame: float) -> tuple[Scene, Sequence[Cage]]:
-        """The moment of a frame, found once where it is asked for again."""
+        """The moment of a frame, found once for all that need it."""
         if self._now is None or self._now[0] != frame:
             self._now = None  # should this fail, what is held is of another
             self._now = frame, *self.moment(frame)
         return self._now[1:]
-
-    def _shown(self, number: float, camera: Camera) -> tuple[np.ndarray, Frame, Camera]:
-        scale = self.scale
-        frame, cages = self._frame(number, camera)
-        if self.look.show == "masks":
-            for name, share in frame_parts.mask_shares(frame).items():
-                self._shares.setdefault(name, []).append(share)
-        return self.look.picture(frame, camera, cages, scale), frame, camera
 
     def write(
         self,
@@ -180,9 +174,7 @@ class Film:
         named = paths[0] if len(paths) == 1 else f"{len(paths)} pictures"
         with picture_cuts(named) as cuts, BackgroundWriter() as beside:
             for index, path in enumerate(paths):
-                task = picture_task(path, *self.taken(index), cuts)
-                beside.run(*task)
-                del task  # what is rendered next may take its place
+                beside.run(*picture_task(path, *self.taken(index), cuts))
 
     def write_folder(
         self,
@@ -284,14 +276,14 @@ def render_film(
         require_clear_film(target)
     if format == "exr" and not ending:
         require_openexr()
-    shot = _Shot(scene, poses, camera, move, frames, fps, size)
-    rate = checked_rate(shot.fps, ending or ".mp4")
+    request = _Request(scene, poses, camera, move, frames, fps, size)
+    rate = checked_rate(request.fps, ending or ".mp4")
     before = scene.time if isinstance(scene, Stage) else 0.0
     try:
-        film = Film(len(shot.times), shot.track, shot.moment, look)
+        film = Film(len(request.times), request.track, request.moment, look)
         numbers = range(film.count)
         if ending:
-            film.write(target, rate, loop=shot.loop != "once", progress=progress)
+            film.write(target, rate, loop=request.loop != "once", progress=progress)
             return [target]
         settings = {
             "frames": film.count,
@@ -303,7 +295,7 @@ def render_film(
             "overlay": overlay,
             "camera": _digest(film.cameras),
             "field": _digest(scene),
-            "posed": _digest([shot.pose(number) for number in numbers]),
+            "posed": _digest([request.pose(number) for number in numbers]),
         }
 
         def reported(missing: Sequence[int]) -> Any:
@@ -316,8 +308,8 @@ def render_film(
             scene.time = before
 
 
-class _Shot:
-    """What `render_film` was asked for: its frames in time, and the pose and the camera of each."""
+class _Request:
+    """A film that `render_film` makes: its frames in time, and the pose and the camera of each."""
 
     def __init__(self, scene: Any, poses: Any, camera: Any, move: Any, frames: Any, fps: Any, size: Any):
         self.scene, self._held = scene, ((), None)
@@ -378,7 +370,7 @@ class _Shot:
         rate = float(self.fps)
         moving = MovingCamera(camera, middle(self._points()), field.up, moves, len(self.times), rate)
         edits = self.scene.edits if isinstance(self.scene, Deformer) else []
-        return moving_track(moving, _field(self.scene), edits, lambda frame: self.pose(int(frame)))
+        return moving_track(moving, field, edits, lambda frame: self.pose(int(frame)), AssetResolver())
 
     def _placed(self, numbers: Sequence[float]) -> list[Camera]:
         """The cameras of frames that stand, come one a frame, or lie on a path."""
@@ -410,7 +402,7 @@ class _Shot:
         if self._keys is None and self._rows is None:
             return self.scene, drawn_cages(self.scene)
         cages = self.pose(number)
-        pose = _pose_bytes(cages)
+        pose = pose_bytes(cages)
         if self._held[1] is None or pose != self._held[0]:
             try:
                 self._held = pose, self.scene.posed(cages)
@@ -462,15 +454,10 @@ def _shown_of(scene: Scene) -> tuple[Any, ...]:
     if not isinstance(scene, Stage):
         return (scene,)  # held, and equal to itself alone: a number of what has gone may come again
     return tuple(
-        (item.scene_object, item.places.at(scene.time), _pose_bytes(getattr(item.scene_object, "deformed", None) or ()))
+        (item.scene_object, item.places.at(scene.time), pose_bytes(getattr(item.scene_object, "deformed", None) or ()))
         for item in scene.items.values()
         if not item.hidden
     )
-
-
-def _pose_bytes(cages: Iterable[Cage | None]) -> tuple[bytes, ...]:
-    """The vertices of posed cages, none of one that removes."""
-    return tuple(b"" if cage is None else cage.vertices.tobytes() for cage in cages)
 
 
 def _reported(numbers: Sequence[int], total: int, progress: bool | Progress) -> Iterator[int]:
@@ -496,30 +483,20 @@ def _digest(scene_object: Any) -> str:
 
 
 def _parts(scene_object: Any) -> list[Any] | None:
-    """What an object is made of; None for a number or a word."""
+    """What an object is made of; None for a number or a text."""
     if isinstance(scene_object, Stage):
-        return [
-            *scene_object.items,
-            *scene_object.items.values(),
-            *(getattr(scene_object[name], "deformed", None) for name in scene_object.items),
-        ]
+        poses = (getattr(scene_object[name], "deformed", None) for name in scene_object.items)
+        return [*scene_object.items, *scene_object.items.values(), *poses]
     if isinstance(scene_object, Deformer):
-        return [
-            scene_object.field,
-            scene_object.edits,
-            scene_object.coordinates,
-            scene_object.resolution,
-            scene_object.density,
-            scene_object.map,
-        ]
+        return [*attrgetter("field", "edits", "coordinates", "resolution", "density", "map")(scene_object)]
     if isinstance(scene_object, SplatField):
         return [scene_object.contents, scene_object.view_options()]
     if isinstance(scene_object, SurfaceMesh):
         return [scene_object.surface, scene_object.background, scene_object.supersampling]
     if isinstance(scene_object, VoxelField):
         behind = None if scene_object.background_model is None else scene_object.background_model.contents()
-        values = scene_object.grid.links, scene_object.grid.density, scene_object.grid.sh
-        return [scene_object.bounds, *values, scene_object.background, scene_object.supersampling, behind]
+        names = "bounds", "grid.links", "grid.density", "grid.sh", "background", "supersampling"
+        return [*attrgetter(*names)(scene_object), behind]
     if isinstance(scene_object, ClosedMesh):
         return [scene_object.vertices, scene_object.faces]
     if isinstance(scene_object, dict | PlaceFile):

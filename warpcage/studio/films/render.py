@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -22,9 +22,10 @@ from ...mesh.mesh import ClosedMesh
 from ...splats.splat_field import AnyField
 from ...view import frame_parts
 from ...view.camera import Camera
-from ...view.exr import write_picture
+from ...view.exr import mean_picture, write_picture
 from ...view.frame import Frame, depth_along_view
 from ...view.frame_parts import rgba_picture
+from ..spec.shot import ShotSpec
 from .video import write_film_frame
 
 #: What renders frames.
@@ -38,17 +39,15 @@ class Look(RenderOptions):
     show: str = "rgb"  # what `frame_parts.picture` shows
     overlay: bool = False  # whether edges of cages are drawn
 
+    @classmethod
+    def of(cls, spec: ShotSpec, **changes: Any) -> Look:
+        """The look of a spec's options of the same names; changes: others by name."""
+        names = (field.name for field in dataclasses.fields(cls))
+        return cls(**{name: getattr(spec, name) for name in names if hasattr(spec, name)} | changes)
+
     def render(self, scene: Scene, camera: Camera) -> Frame:
         """The view of a camera; stages are not filled."""
-        if not isinstance(scene, Stage):
-            return render_object(scene, camera, self)
-        return scene.render(
-            camera,
-            background=self.background,
-            supersampling=self.supersampling,
-            antialias=self.antialias,
-            step_scale=self.step_scale,
-        )
+        return scene._render(camera, self) if isinstance(scene, Stage) else render_object(scene, camera, self)
 
     def picture(
         self, frame: Frame, camera: Camera, cages: Sequence[ClosedMesh] = (), scale: tuple[float, float] | None = None
@@ -61,16 +60,46 @@ class Look(RenderOptions):
         return frame_parts.picture(frame, self.show, camera, drawn, scale)
 
 
+class Shot(NamedTuple):
+    """A frame that was rendered, its camera, and the cages that an overlay draws."""
+
+    frame: Frame
+    camera: Camera
+    cages: Sequence[ClosedMesh] = ()
+
+
+def render_shot(look: Look, scene: Scene, camera: Camera, cages: Sequence[ClosedMesh] = ()) -> Shot:
+    """The view of a camera of a scene in its pose."""
+    return Shot(look.render(scene, camera), camera, cages)
+
+
+def blurred_picture(
+    look: Look, shots: Iterable[Shot], count: int, scale: tuple[float, float] | None = None
+) -> tuple[np.ndarray, Shot]:
+    """The mean of the pictures of `count` moments of a shutter, in linear light, and the shot in their middle."""
+    pictures, middle = [], None
+    for number, shot in enumerate(shots):
+        pictures.append(look.picture(*shot, scale))
+        middle = shot if number == count // 2 else middle
+    assert middle is not None
+    return mean_picture(pictures), middle
+
+
+def pose_bytes(cages: Iterable[Cage | None]) -> tuple[bytes, ...]:
+    """The vertices of posed cages, none of one that removes."""
+    return tuple(b"" if cage is None else cage.vertices.tobytes() for cage in cages)
+
+
 class HeldPose:
     """A Deformer that renders frame after frame: it is posed only where its cages move."""
 
     def __init__(self, deformer: Deformer):
         self.deformer = deformer
-        self._held: tuple[bytes | None, ...] | None = None
+        self._held: tuple[bytes, ...] | None = None
 
     def pose(self, cages: Sequence[Cage | None]) -> bool:
         """Move the cages, one an edit, None for one that removes; returns whether that was to be done."""
-        pose = tuple(None if cage is None else cage.vertices.tobytes() for cage in cages)
+        pose = pose_bytes(cages)
         if pose == self._held:
             return False
         self._held = None  # should this fail, the next frame poses anew

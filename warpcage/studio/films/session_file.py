@@ -17,7 +17,7 @@ from ...errors import InputError
 from ...splats.splat_field import AnyField
 from .checks import MAX_LINE, MAX_NAME
 from .document import MAIN, OLD_KEYS, Document
-from .edits import Deformation, Keyframes, PosedEdit, named
+from .edits import Deformation, PosedEdit, named
 
 #: Version 2 has several objects, 3 has them and fragments by these names; all are read.
 FORMAT, VERSION = "warpcage session", 3
@@ -166,11 +166,9 @@ def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformat
     parts = []
     for edit in visible:
         with named(f"{path}: edit {edit.name!r}"):
-            cage_edit, keyframes = edit.cage_edit, None
+            cage_edit, poses = edit.cage_edit, []
             if not cage_edit.remove:
-                keyframes = Keyframes(cage_edit.cage, [], interpolation or "smooth")
-                posed = cage_edit.cage.with_vertices(edit.posed)
-                posed.require_usable("the posed cage")
-                keyframes.cages.append(posed)
-            parts.append(PosedEdit(cage_edit, keyframes))
+                poses = [cage_edit.cage.with_vertices(edit.posed)]
+                poses[0].require_usable("the posed cage")
+            parts.append(PosedEdit(cage_edit, poses, interpolation or "smooth"))
     return Deformation(parts), [f"{edit.name}: {edit.kind}" for edit in visible]

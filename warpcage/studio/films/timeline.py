@@ -29,7 +29,7 @@ from .edits import Deformation
 from .motion import frame_places, path_cameras
 from .moves import MovingCamera
 from .render import HeldPose, Scene, drawn_cages
-from .resolve import read_rest
+from .resolve import AssetResolver
 
 #: Where a camera stands for each side that it looks from, degrees: above the ground, and around from +x to +y where z
 #: is up. Not quite straight above, so that what is behind the object is above it in the picture.
@@ -171,9 +171,11 @@ def moving_track(
     field: AnyField,
     edits: Sequence[CageEdit],
     cages_at: Callable[[float], Sequence[Cage | None]],  # posed cages of a frame, one an edit
+    resolver: AssetResolver,
 ) -> CameraTrack:
     """The track of a camera that moves; it may follow the edits and what they carry."""
-    followed = {move.part: Followed(move.part, field, edits) for move in moving.moves if move.kind == "follow"}
+    parts = [move.part for move in moving.moves if move.kind == "follow"]
+    followed = {part: Followed(part, field, edits, resolver) for part in parts}
     return lambda frames: [
         moving.at(frame, lambda part, frame=frame: followed[part].at(cages_at(frame))) for frame in frames
     ]
@@ -189,7 +191,7 @@ def keyed_track(keys: Sequence[CameraKey], timeline: Timeline) -> CameraTrack:
 class Followed:
     """Where a part is that a film's camera follows: the cage of an edit, or a region that cages carry."""
 
-    def __init__(self, part: str, field: AnyField, edits: Sequence[CageEdit]):
+    def __init__(self, part: str, field: AnyField, edits: Sequence[CageEdit], resolver: AssetResolver):
         self._edits = edits
         self._number = 0
         self._points: np.ndarray | None = None  # (n, 3) of a region at rest
@@ -200,7 +202,7 @@ class Followed:
         elif part.lower().endswith(SELECTION_ENDINGS):
             self._points = NodeSelection.load(part, field).points
         else:
-            self._points = read_rest(part, None, field, part=True)[0].vertices
+            self._points = resolver.rest(part, None, field, part=True).cage.vertices
 
     def at(self, cages: Sequence[Cage | None]) -> np.ndarray:
         """(3,) its middle, where the cages are posed so."""

@@ -11,7 +11,7 @@ import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from typing import IO, Any
 
@@ -25,7 +25,6 @@ from ...edits.edits import CageEdit, edit_spec
 from ...errors import InputError, StateError
 from ...view.camera import Camera, CameraKey, camera_json
 from ..films.folder import frame_files, frame_path, make_folder
-from ..films.render import Look
 from ..films.video import CLEAR_ENDINGS, read_film_frame, write_film
 from .job_file import write_jobs
 from .run import RunProgress, RunReport, run_jobs
@@ -97,27 +96,6 @@ class FilmJob:
                     cage.close()
 
             return write_jobs(path, items(), defaults=defaults, extra=self.extra)
-
-
-def frame_spec(
-    look: Look,
-    deformer: Mapping[str, Any] | None,  # options of the Deformer, None where nothing is deformed
-    *,
-    scale: tuple[float, float] | None = None,  # low and high disparity of pictures of depth and disparity
-    scene_scale: float = 1.0,
-) -> dict[str, Any]:
-    """The keys of items for how the frames of a film look, without "outputs"."""
-    spec: dict[str, Any] = {
-        "background": look.background,
-        "supersampling": look.supersampling,
-        "antialias": look.antialias,
-        "disparity_scale": scale,
-        "scene_scale": None if scene_scale == 1.0 else scene_scale,
-    }
-    if deformer is not None:
-        spec |= {**deformer, "fill": look.fill or None, "overlay": look.overlay or None}
-        spec["resolution"] = spec["resolution"] or "precise"
-    return {name: value for name, value in spec.items() if value is not None}
 
 
 def _numbers(count: int) -> list[str]:

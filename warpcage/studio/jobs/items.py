@@ -4,28 +4,35 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import functools
 import hashlib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
-from ...coordinate_kinds import names_where
-from ...core.checks import checked_bounds, checked_flag, checked_number, checked_positive, checked_whole, shown
-from ...core.names import (
-    COORDINATES,
-    DENSITIES,
-    FIELD_COORDINATES,
-    SPLAT_MAPS,
-    TRANSPARENT,
-    coordinate_kind,
-    renamed_keys,
+from ...core.checks import checked_bounds, checked_number, checked_positive, checked_whole, shown
+from ...core.names import FIELD_COORDINATES, TRANSPARENT, coordinate_kind, renamed_keys
+from ...core.spec import (
+    Checker,
+    Values,
+    anything,
+    checked_keys,
+    checked_text,
+    checkers,
+    flag,
+    names_of,
+    numbers,
+    option,
+    options_json,
+    positive,
+    spec_version,
+    text,
+    whole,
 )
-from ...edits import spec
-from ...edits.spec import EDIT_KEYS, Checker, EditSpec, canonical, checked_keys, one_of, plain, safe_name, text
+from ...edits.spec import EDIT_KEYS, EditSpec, canonical, safe_name
 from ...errors import InputError
 from ...splats.io import SPLAT_ENDINGS
-
-if TYPE_CHECKING:
-    from ..films.render import Look
+from ..spec.scene import FitSceneSpec, SceneSpec
+from ..spec.shot import DEFORMATION, PRECISE, ShotSpec
 
 #: Names in the folder of a run that no output may have, in any case of letters.
 RESERVED = ("manifest.jsonl",)
@@ -34,26 +41,37 @@ RESERVED = ("manifest.jsonl",)
 ID = "{id}"
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Item(abc.ABC):
     """One item of a job."""
 
-    id: Annotated[str, safe_name]  # a relative name, unique in its job
-    outputs: Annotated[dict[str, str], spec.anything]  # files by what they hold, relative to the folder of the run
-    extra: Annotated[Any, spec.anything] = None  # any JSON that is kept with its record
+    id: str = option(dataclasses.MISSING, Values(safe_name), "a relative name, unique in its job")
+    outputs: dict[str, str] = option(
+        dataclasses.MISSING,
+        Values(anything),
+        "files by what they hold, relative to the folder of the run; `output` names the first",
+        default_help="`{id}` and the usual ending",
+    )
+    extra: Any = option(None, Values(anything), "any JSON that is kept with its record")
 
-    #: Its kind's name, JSON keys besides its fields, all that it takes with their checks, and all kinds.
+    #: Its kind's name, JSON keys besides its options, and all kinds.
     kind: ClassVar[str]
     short: ClassVar[dict[str, Checker]]
-    known: ClassVar[dict[str, Checker]]
     kinds: ClassVar[dict[str, type[Item]]] = {}
 
+    __eq__, __hash__ = object.__eq__, object.__hash__
+
     def __init_subclass__(cls) -> None:
-        if hasattr(cls, "kind"):
-            checks = spec.checkers(cls)
-            last = {name: checks.pop(name) for name in ("outputs", "extra")}
-            cls.known = {"id": checks["id"], "kind": spec.anything} | checks | cls.short | last
-            Item.kinds[cls.kind] = cls
+        Item.kinds[cls.kind] = cls
+
+    @classmethod
+    @functools.cache
+    def known(cls) -> dict[str, Checker]:
+        """All JSON keys that it takes, with their checks."""
+        checks = dict(checkers(cls))
+        last = {name: checks.pop(name) for name in ("outputs", "extra")}
+        own = {name: checks.pop(name) for name in cls.__annotations__ if name in checks}
+        return {"id": checks.pop("id"), "kind": anything} | own | checks | cls.short | last
 
     @property
     @abc.abstractmethod
@@ -68,7 +86,7 @@ class Item(abc.ABC):
     @property
     def version(self) -> int:
         """The first version of job files that has all of its keys."""
-        return 1
+        return spec_version(self)
 
     @property
     def order(self) -> tuple[str, str]:
@@ -78,12 +96,7 @@ class Item(abc.ABC):
     def to_json(self) -> dict[str, Any]:
         """The item as JSON, with what it takes from defaults of its file, but without what is usual.
         `from_json` makes an equal item of it."""
-        entry: dict[str, Any] = {"id": self.id, "kind": self.kind, "outputs": dict(self.outputs)}
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if field.name not in entry and value != _default(field):
-                entry[field.name] = plain(value)
-        return entry
+        return {"id": self.id, "kind": self.kind, "outputs": dict(self.outputs)} | options_json(self)
 
     @staticmethod
     def from_json(entry: Mapping[str, Any], defaults: Mapping[str, Any] | Defaults | None = None) -> Item:
@@ -101,7 +114,7 @@ class Item(abc.ABC):
     @classmethod
     def _made(cls, entry: Mapping[str, Any], usual: dict[str, Any]) -> Item:
         given = {word: value for word, value in usual.items() if word not in entry}
-        given |= checked_keys(entry, cls.known, f"an item of kind {cls.kind!r}")
+        given |= checked_keys(entry, cls.known(), f"an item of kind {cls.kind!r}")
         given.pop("kind", None)
         if "id" not in given:
             raise InputError('an item needs an "id", such as "frame_0001"')
@@ -123,13 +136,9 @@ class Defaults:
     def of(self, maker: type[Item]) -> dict[str, Any]:
         """The checked keys that a kind of item takes. Raises ValueError for one that cannot be."""
         if maker.kind not in self._checked:
-            usual = {word: value for word, value in self.spec.items() if word in maker.known}
-            self._checked[maker.kind] = checked_keys(usual, maker.known, "'defaults'")
+            usual = {word: value for word, value in self.spec.items() if word in maker.known()}
+            self._checked[maker.kind] = checked_keys(usual, maker.known(), "'defaults'")
         return self._checked[maker.kind]
-
-
-def _default(field: dataclasses.Field) -> Any:
-    return field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
 
 
 def digest(value: Any) -> str:
@@ -170,20 +179,9 @@ def _edits(value: Any, word: str) -> tuple[EditSpec, ...]:
     return tuple(EditSpec.from_json(entry, f"edit {number} of {word}") for number, entry in enumerate(value, 1))
 
 
-def _resolution(value: Any, word: str) -> int | str:
-    if value == "precise":
-        return value
-    if type(value) is not int or value < 1:
-        kinds = " and ".join(names_where("is_precise"))
-        raise InputError(
-            f'{word} must be a whole number of lattice cells, or "precise" ({kinds} only), got {shown(value)}'
-        )
-    return value
-
-
 def _camera(value: Any, word: str) -> Any:
     if isinstance(value, str) and value:
-        return text(value, word)
+        return checked_text(value, word)
     if not isinstance(value, dict) or not value:
         raise InputError(
             f"{word} must be an object with {', '.join(_PINHOLE)}, or one with eye, target, width and height; or "
@@ -200,16 +198,16 @@ def _camera(value: Any, word: str) -> Any:
 
 
 def _vector(value: Any, word: str) -> tuple[float, ...]:
-    return spec.numbers(value, word, 3)
+    return numbers(value, word, 3)
 
 
 def _pose(value: Any, word: str) -> Any:
     if not isinstance(value, list) or len(value) != 4:
         raise InputError(f"{word} must be four rows of four numbers, got {shown(value)}")
-    return [spec.numbers(row, f"a row of {word}", 4) for row in value]
+    return [numbers(row, f"a row of {word}", 4) for row in value]
 
 
-_SIDE = spec.whole(1, 65_536)
+_SIDE = whole(1, 65_536).check
 
 #: A camera as files of cameras have it, and one that looks from a place to another, of which two keys may be left out.
 _PINHOLE: dict[str, Checker] = {
@@ -250,13 +248,6 @@ def _size(value: Any, word: str) -> tuple[int, ...]:
     return tuple(_SIDE(side, word) for side in sides)
 
 
-def _scale(value: Any, word: str) -> tuple[float, float]:
-    low, high = spec.numbers(value, word, 2)
-    if high < low:
-        raise InputError(f"{word} must be [low, high], got [{low:g}, {high:g}]")
-    return low, high
-
-
 def _frame_outputs(value: Any, word: str) -> dict[str, str]:
     if not isinstance(value, dict) or not value:
         raise InputError(f'{word} must be an object such as {{"rgb": "{ID}.png", "depth": "{ID}.npy"}}')
@@ -269,28 +260,41 @@ def _frame_outputs(value: Any, word: str) -> dict[str, str]:
     return dict(value)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class FrameItem(Item):
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class FrameItem(Item, ShotSpec):
     """A picture of a field, as it is or deformed. Parts of outputs: see PART_ENDINGS; film: colours for films of
     16 bits; pose: vertices of its posed cages; record: what `batch.worker.frame_record` says of it."""
 
-    outputs: Annotated[dict[str, str], _frame_outputs]
-    field: Annotated[str, text] = ""  # a file, voxels or splats
-    camera: Annotated[Any, _camera] = None  # an object, or a reference
-    edits: Annotated[tuple[EditSpec, ...], _edits] = ()  # in the order in which they act; none: the field as it is
-    size: Annotated[tuple[int, ...], _size] = ()  # width, or width and height, of the camera; its own where it is empty
-    coordinates: Annotated[str, one_of(*COORDINATES)] = FIELD_COORDINATES
-    resolution: Annotated[int | str | None, _resolution] = None  # lattice cells, "precise"; None: by the picture's size
-    density: Annotated[str, one_of(*DENSITIES)] = "opacity"
-    map: Annotated[str | None, one_of(*SPLAT_MAPS)] = None
-    background: Annotated[Any, spec.background] = None  # a colour, "transparent", or None: the field's own
-    fill: Annotated[bool, checked_flag] = False  # whether what was uncovered is filled
-    overlay: Annotated[bool, checked_flag] = False  # whether the cages are drawn into the picture
-    supersampling: Annotated[int | None, spec.whole(1, 8)] = None  # rays along a pixel's side; None is the field's
-    antialias: Annotated[bool | None, checked_flag] = None  # whether small splats are weakened; None: as in their file
-    disparity_scale: Annotated[tuple[float, float] | None, _scale] = None  # low and high; None is the frame's range
-    scene_scale: Annotated[float, checked_positive] = 1.0  # as `VoxelField.load` has it
-    moments: Annotated[tuple[dict[str, Any], ...], _moments] = ()  # of a shutter: cameras, poses one an edit; see shots
+    outputs: dict[str, str] = option(
+        dataclasses.MISSING,
+        Values(_frame_outputs),
+        "files by the part of the frame that they hold",
+        default_help=f'`{{"rgb": "{ID}.png"}}`',
+    )
+    field: str = option(
+        "",
+        text(),
+        "field file, voxels (`.npz`) or splats, or an output folder of 3D Gaussian Splatting",
+        default_help="needed",
+    )
+    camera: Any = option(None, Values(_camera), "an object, or a reference to one in a file", default_help="needed")
+    edits: tuple[EditSpec, ...] = option(
+        (), Values(_edits), "a list of edits in the order in which they act", default_help="the field as it is"
+    )
+    size: tuple[int, ...] = option(
+        (),
+        Values(_size),
+        "width, or `[width, height]`, of the picture, cut from the camera's where its shape is another",
+        default_help="the camera's own",
+    )
+    moments: tuple[dict[str, Any], ...] = option(
+        (),
+        Values(_moments),
+        "a list of moments of a shutter, with a `camera`, and as `posed` a list of a pose for each edit, `null` where "
+        "it removes; the picture is the mean of theirs in linear light",
+        default_help="one moment, the item",
+        since=3,
+    )
 
     kind: ClassVar[str] = "frame"
     short: ClassVar[dict[str, Checker]] = EDIT_KEYS  # of one edit
@@ -298,19 +302,12 @@ class FrameItem(Item):
     @property
     def group(self) -> str:
         loaded = [self.field, self.scene_scale, *([edit.rest for edit in self.edits] or [None])]
-        how = [self.coordinates, self.resolution, self.density, self.map] if self.edits else []
+        how = [getattr(self, name) for name in names_of(ShotSpec, DEFORMATION)] if self.edits else []
         return f"frame {self.field} {digest(loaded + how)}"
 
     @property
     def pose(self) -> str:
         return digest([edit.posed for edit in self.edits]) if self.edits else ""
-
-    @property
-    def look(self) -> Look:
-        """How it is rendered, and what its picture in colours shows."""
-        from ..films.render import Look  # which needs Warp
-
-        return Look(self.background, self.supersampling, self.antialias, fill=self.fill, overlay=self.overlay)
 
     @property
     def shots(self) -> list[FrameItem]:
@@ -324,11 +321,8 @@ class FrameItem(Item):
 
     @property
     def version(self) -> int:
-        if any(edit.fragments for edit in self.edits):
-            return 4
-        if self.moments:
-            return 3
-        return 2 if any(edit.is_drawn for edit in self.edits) else 1
+        edits = (4 if edit.fragments else 2 if edit.is_drawn else 1 for edit in self.edits)
+        return max(super().version, *edits, 1)
 
     @classmethod
     def _made(cls, entry: Mapping[str, Any], usual: dict[str, Any]) -> Item:
@@ -375,7 +369,7 @@ def _require_possible(given: dict[str, Any]) -> None:
             raise InputError(f"moment {number} of 'moments' needs a pose for each edit, null for one that removes")
         if sharp := [part for part, path in outputs.items() if not path.lower().endswith(OF_MOMENTS.get(part, ()))]:
             raise InputError(f"'moments' blur pictures in colours: leave {outputs[sharp[0]]!r} of 'outputs' out")
-    if given.get("resolution") == "precise":
+    if given.get("resolution") == PRECISE:
         kind = coordinate_kind(given.get("coordinates", FIELD_COORDINATES))
         kind.require_precise("give 'resolution' a number, or leave it out")
     clear = given.get("background") == TRANSPARENT
@@ -415,25 +409,12 @@ def _output(*endings: str) -> Checker:
     return check
 
 
-def _masks(value: Any, word: str) -> bool | str:
-    if value in ("split", "weights") or isinstance(value, bool):
-        return value
-    raise InputError(f'{word} must be true, false, "split" or "weights", got {shown(value)}')
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class FitItem(Item):
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class FitItem(Item, FitSceneSpec):
     """A fit of a field to the pictures of a scene; outputs: {"field": file}, and {"cameras": file} where refined."""
 
-    scene: Annotated[str, text] = ""  # folder
-    options: Annotated[dict[str, Any], _options] = dataclasses.field(default_factory=dict)  # of `warpcage.fit`
-    split: Annotated[str, text] = "train"  # as `load_scene` has it, and so the rest
-    downscale: Annotated[int, spec.whole(1)] = 1  # factor by which pictures shrink
-    format: Annotated[str | None, text] = None  # None finds it
-    masks: Annotated[bool | str, _masks] = True  # what mask files are
-    cameras: Annotated[str | None, text] = None  # camera file of the scene; None takes those of its files
-    background: Annotated[Any, spec.color] = "white"  # colour behind transparent pixels
-    straighten: Annotated[bool, checked_flag] = False  # whether the scene is turned so that its up is +z
+    scene: str = option("", text(), "folder of its pictures", default_help="needed")
+    options: dict[str, Any] = option({}, Values(_options), "an object of options of `warpcage.fit`")
 
     kind: ClassVar[str] = "fit"
     short: ClassVar[dict[str, Checker]] = {"output": _output(".npz", *SPLAT_ENDINGS)}
@@ -459,21 +440,16 @@ class FitItem(Item):
         return given
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class EvaluateItem(Item):
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class EvaluateItem(Item, SceneSpec):
     """A comparison of a field with pictures of a scene, as `warpcage evaluate` makes it; outputs: {"report": file}."""
 
-    field: Annotated[str, text] = ""  # a file, voxels
-    scene: Annotated[str, text] = ""  # folder
-    split: Annotated[str, text] = "test"  # as `load_scene` has it, and so the rest
-    downscale: Annotated[int, spec.whole(1)] = 1  # factor by which pictures shrink
-    format: Annotated[str | None, text] = None  # None finds it
-    masks: Annotated[bool | str, _masks] = True  # what mask files are
-    cameras: Annotated[str | None, text] = None  # camera file of the scene; None takes those of its files
-    background: Annotated[Any, spec.color] = None  # colour behind the field; None is the field's own
-    given_cameras: Annotated[bool, checked_flag] = False  # whether cameras stay where those of the fit were refined
-    tune_cameras: Annotated[bool, checked_flag] = False  # whether each view's camera is moved first, to match the field
-    scene_scale: Annotated[float, checked_positive] = 1.0  # as `VoxelField.load` has it
+    field: str = option("", text(), "field file", default_help="needed")
+    scene: str = option("", text(), "folder of its pictures", default_help="needed")
+    split: str = option("test", text(), "which pictures of the scene")
+    given_cameras: bool = option(False, flag(), "whether cameras stay where those of the fit were refined")
+    tune_cameras: bool = option(False, flag(), "whether each view's camera is moved first, to match the field best")
+    scene_scale: float = option(1.0, positive(), "as of a frame")
 
     kind: ClassVar[str] = "evaluate"
     short: ClassVar[dict[str, Checker]] = {"output": _output(".json")}

@@ -17,15 +17,19 @@ from typing import Any
 import numpy as np
 
 from ...cage.presets import is_preset
-from ...core.checks import checked_flag, listed, shown
+from ...core.checks import checked_flag, listed, shown, warn_caller
 from ...core.files import JSON_ROOM, PathLike, atomic_path, file_stamp, require_file, require_version, seen_note
 from ...core.memory import LRUCache, require_host_memory
-from ...core.names import older_keys, renamed_keys
+from ...core.names import checked_choice, older_keys, renamed_keys
 from ...core.npz import NpyFile
-from ...edits.spec import canonical, checked_keys, one_of, split_reference, whole
+from ...core.spec import checked_keys, one_of, whole
+from ...edits.spec import canonical, split_reference
 from ...errors import InputError
+from ...package import WITHOUT_OLD_NAMES
 from .items import (
+    FOLDER,
     KINDS,
+    WEBDATASET,
     Defaults,
     EvaluateItem,
     FitItem,
@@ -269,19 +273,19 @@ def _check_defaults(defaults: Any) -> None:
     defaults = renamed_keys(defaults)
     kind = defaults.get("kind")
     if kind is not None:
-        one_of(*KINDS)(kind, "'kind' of 'defaults'")
-    known = {word: None for maker in KINDS.values() for word in maker.known if word != "id"}
+        checked_choice(kind, "'kind' of 'defaults'", tuple(KINDS))
+    known = {word: None for maker in KINDS.values() for word in maker.known() if word != "id"}
     for word, value in defaults.items():
         if word not in known:
             raise InputError(f"'defaults' has no {shown(word)}, only {listed(known, most=60)}")
         if value is None:
             continue
-        makers = [KINDS[kind]] if kind is not None and word in KINDS[kind].known else KINDS.values()
+        makers = [KINDS[kind]] if kind is not None and word in KINDS[kind].known() else KINDS.values()
         wrong: list[ValueError] = []  # of each kind that takes the word; one that takes the value is enough
-        takers = [maker for maker in makers if word in maker.known]
+        takers = [maker for maker in makers if word in maker.known()]
         for maker in takers:
             try:
-                maker.known[word](value, f"{word!r} of 'defaults'")
+                maker.known()[word](value, f"{word!r} of 'defaults'")
             except ValueError as error:
                 wrong.append(error)
         if len(wrong) == len(takers):
@@ -295,9 +299,9 @@ def check_records(records: Any, defaults: Mapping[str, Any]) -> None:
     if not records:
         return
     known = {
-        "kind": one_of("folder", "webdataset"),
-        "items_per_shard": whole(1, 1_000_000),
-        "image": one_of("png", "jpg"),
+        "kind": one_of(FOLDER, WEBDATASET).check,
+        "items_per_shard": whole(1, 1_000_000).check,
+        "image": one_of("png", "jpg").check,
         "depth": checked_flag,
         "alpha": checked_flag,
     }
@@ -305,6 +309,15 @@ def check_records(records: Any, defaults: Mapping[str, Any]) -> None:
         raise InputError("'records' needs a 'kind': folder or webdataset")
     if defaults.get("outputs") is not None:
         raise InputError("'records' say what is written: leave 'outputs' of 'defaults' out")
+
+
+def warn_of_shards(records: Mapping[str, Any]) -> None:
+    """Warn where a job asks for records of kind "webdataset", which go."""
+    if records.get("kind") == WEBDATASET:
+        warn_caller(
+            f"WebDataset records go with warpcage {WITHOUT_OLD_NAMES}: pack the folder of records with the webdataset "
+            "package, see docs/sweeps.md"
+        )
 
 
 def write_jobs(
@@ -321,6 +334,7 @@ def write_jobs(
     usual = dict(defaults or {})
     _check_defaults(usual)
     check_records(dict(records or {}), usual)
+    warn_of_shards(records or {})
     complete = Defaults(usual | ({"outputs": record_outputs(records)} if records else {}))
     parts = {"defaults": usual, "records": records, "extra": extra}
     header |= {name: value for name, value in parts.items() if value}

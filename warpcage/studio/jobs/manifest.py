@@ -7,7 +7,6 @@ import contextlib
 import dataclasses
 import errno
 import hashlib
-import io
 import json
 import os
 import pathlib
@@ -112,13 +111,9 @@ class Manifest:
 
     def __init__(self, path: PathLike):
         self.path = pathlib.Path(path)
-        keys, places = [], []
-        for place, record in read_lines(self.path):
-            keys.append(id_key(record["id"]))
-            places.append(place)
-        unsorted = np.array(keys, np.int64)
-        order = np.argsort(unsorted, kind="stable")
-        self.keys, self._places = unsorted[order], np.array(places, np.int64)[order]  # keys: (n,) `id_key`, sorted
+        index = _index([self.path])
+        index = index[np.argsort(index["key"], kind="stable")]
+        self.keys, self._places = index["key"].copy(), index["place"].copy()  # keys: (n,) `id_key`, sorted
         self._file: IO[bytes] | None = None
 
     def __len__(self) -> int:
@@ -145,43 +140,14 @@ class Manifest:
             self._file = None
 
 
-class _Merge:
-    """The newest note of each item, in arrays: a million take 30 MB."""
-
-    def __init__(self, files: list[pathlib.Path]):
-        keys, sources, places, ranks = [], [], [], []
-        for source, path in enumerate(files):
-            for place, record in read_lines(path):
-                keys.append(id_key(record["id"]))
-                sources.append(source)
-                places.append(place)
-                ranks.append(_RANKS[record["state"]])
-        key, rank = np.array(keys, np.int64), np.array(ranks, np.int8)
-        order = np.lexsort((np.arange(len(key)), rank, key))
-        last = np.append(key[order][1:] != key[order][:-1], True)[: len(order)]  # the best of each item
-        chosen = order[last]
-        self.files = files
-        self.keys, self.ranks = key[chosen], rank[chosen]
-        self.sources, self.places = np.array(sources, np.int32)[chosen], np.array(places, np.int64)[chosen]
-
-    def __contains__(self, key: int) -> bool:
-        index = int(np.searchsorted(self.keys, key))
-        return index < len(self.keys) and int(self.keys[index]) == key
-
-    def settled(self) -> Iterator[bytes]:
-        """The lines that the manifest takes, file by file."""
-        with contextlib.ExitStack() as opened:
-            file, held = None, -1
-            for index in np.lexsort((self.places, self.sources)):
-                if self.ranks[index] < _RANKS[FAILED]:
-                    continue
-                if self.sources[index] != held:
-                    held = int(self.sources[index])
-                    opened.close()
-                    file = opened.enter_context(self.files[held].open("rb"))
-                assert file is not None
-                file.seek(int(self.places[index]))
-                yield file.readline()
+def _index(files: Iterable[pathlib.Path]) -> np.ndarray:
+    """Of each record of some files its key, its place in bytes, the number of its file and the rank of its state."""
+    rows = (
+        (id_key(record["id"]), place, source, _RANKS[record["state"]])
+        for source, path in enumerate(files)
+        for place, record in read_lines(path)
+    )
+    return np.fromiter(rows, [("key", np.int64), ("place", np.int64), ("source", np.int32), ("rank", np.int8)])
 
 
 def merge_notes(manifest: PathLike, notes: Iterable[PathLike], into: PathLike | None = None) -> None:
@@ -193,19 +159,39 @@ def merge_notes(manifest: PathLike, notes: Iterable[PathLike], into: PathLike | 
     files = sorted(map(pathlib.Path, notes))
     if not files and into is None:
         return
-    merge = _Merge(files)
-    if len(merge.keys) or into is not None:
+    index = _index(files)
+    keys = np.unique(index["key"])
+    if len(keys) or into is not None:
         with atomic_path(manifest if into is None else into) as temporary, temporary.open("wb") as out:
             if manifest.exists():
                 with manifest.open("rb") as before:
                     for line in before:
                         record = _record(line)
-                        if record is not None and id_key(record["id"]) not in merge:
+                        if record is not None and not _holds(keys, id_key(record["id"])):
                             out.write(line)
-            for line in merge.settled():
-                out.write(line)
+            out.writelines(_settled(files, index))
     for path in files if into is None else ():
         path.unlink(missing_ok=True)
+
+
+def _holds(keys: np.ndarray, key: int) -> bool:
+    """Whether a key is among sorted ones."""
+    place = int(np.searchsorted(keys, key))
+    return place < len(keys) and int(keys[place]) == key
+
+
+def _settled(files: list[pathlib.Path], index: np.ndarray) -> Iterator[bytes]:
+    """The lines that the manifest takes, file by file: the best of each item, the last of several."""
+    index = index[np.lexsort((index["rank"], index["key"]))]
+    best = index[np.append(index["key"][1:] != index["key"][:-1], True)[: len(index)]]
+    best = best[best["rank"] >= _RANKS[FAILED]]
+    for source, path in enumerate(files):
+        places = np.sort(best["place"][best["source"] == source])
+        if len(places):
+            with path.open("rb") as file:
+                for place in places.tolist():
+                    file.seek(place)
+                    yield file.readline()
 
 
 def newest_seconds(manifest: Manifest, most: int = 1000) -> dict[str, float]:
@@ -250,15 +236,13 @@ def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathl
         for path, write in writers.items():
             write(names[path])
             sizes[path] = names[path].stat().st_size
-        try:
-            for path in writers:
-                _put(names[path], out / path)
-                placed.append(out / path)
-                del names[path]
-        except BaseException:
-            for each in placed:
-                each.unlink(missing_ok=True)
-            raise
+        for path in writers:
+            _put(names[path], out / path)
+            placed.append(out / path)
+    except BaseException:
+        for each in placed:
+            each.unlink(missing_ok=True)
+        raise
     finally:
         for name in names.values():
             with contextlib.suppress(OSError):
@@ -279,16 +263,13 @@ def _put(part: pathlib.Path, path: pathlib.Path) -> None:
             raise
         with atomic_path(path) as temporary:
             shutil.copyfile(part, temporary)
-        part.unlink()
 
 
 def write_array(path: pathlib.Path, array: np.ndarray) -> None:
     """Write a .npy file that is not yet in its place."""
     numbers = np.ascontiguousarray(array)
-    head = io.BytesIO()
-    np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(numbers))
     with path.open("wb") as file:  # np.save reports a full disk without its error number
-        file.write(head.getbuffer())
+        np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(numbers))
         file.write(numbers.data.cast("B") if numbers.size else b"")
 
 

@@ -46,11 +46,15 @@ class Plan:
     group_count: int  # of those to be made: fields with the cages at rest on them, scenes
 
 
+#: Items between two calls of `progress` while they are checked.
+CHECKED_AT_ONCE = 100
+
+
 def make_plan(
-    job: JobFile, folder: OutputFolder, manifest: Manifest, progress: Callable[[int], None] = lambda count: None
+    job: JobFile, folder: OutputFolder, manifest: Manifest, progress: Callable[[int, int], None] = lambda *counts: None
 ) -> Plan:
     """Look at all items of a job, or of the part that the folder is for.
-    progress: called with the number of items that were looked at."""
+    progress: called now and then with the number of all items, and of those that were looked at."""
     fingerprint = Fingerprints(job.folder, folder.path).of
     count, span = len(job), span_of(job, folder)
     shard = shard_size(job)
@@ -73,7 +77,8 @@ def make_plan(
             wanted[index] = not (there and _unchanged(record, item, fingerprint))
             changed += int(wanted[index])
         failed_before += record is not None and record["state"] == FAILED
-        progress(checked)
+        if not checked % CHECKED_AT_ONCE or checked == len(span):
+            progress(len(span), checked)
     unique.require(job)
     makes = np.flatnonzero(wanted)
     major = makes // shard if shard else groups[makes]
@@ -81,26 +86,10 @@ def make_plan(
     _, first, which = np.unique(poses[makes], return_index=True, return_inverse=True)
     minor = first[which] if len(makes) else which
     order = np.lexsort((makes, minor, groups[makes], major))
-    group_count = len(np.unique(groups[makes]))
-    return Plan(
-        len(span),
-        makes[order],
-        major[order],
-        kinds[makes][order],
-        _runs(major[order], groups[makes][order], minor[order]),
-        len(span) - len(makes),
-        changed,
-        failed_before,
-        group_count,
-    )
-
-
-def _runs(*columns: np.ndarray) -> np.ndarray:
-    """(n,) numbers of rows that follow each other and are alike in all columns (n,), from 0."""
-    changes = np.zeros(len(columns[0]), bool)
-    for column in columns:
-        changes[1:] |= np.diff(column) != 0
-    return np.cumsum(changes)
+    rows = np.stack([major, groups[makes], minor])[:, order]
+    runs = np.cumsum(np.diff(rows, prepend=rows[:, :1]).any(axis=0))
+    kept, group_count = len(span) - len(makes), len(np.unique(groups[makes]))
+    return Plan(len(span), makes[order], rows[0], kinds[makes][order], runs, kept, changed, failed_before, group_count)
 
 
 def open_shards(plan: Plan, folder: OutputFolder, job: JobFile) -> dict[int, int]:

@@ -6,7 +6,7 @@ import collections
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from ...core.checks import checked_positive, checked_whole
@@ -14,20 +14,11 @@ from ...core.files import PathLike
 from ...core.names import error_line
 from ...core.threads import cpu_threads
 from ...errors import StateError
-from .engines.chunk_runner import Chunk, ChunkReport, Maker, RunJournal, RunnerSettings, leaves_no_room, make_runner
-from .engines.processes import (
-    Answer,
-    Engine,
-    LocalEngine,
-    LocalHost,
-    LocalProcess,
-    ProcessEngine,
-    RayHost,
-    processes_beforehand,
-    ray_session,
-)
+from .engines.chunk_runner import Chunk, ChunkReport, Maker, RunJournal, RunnerSettings, leaves_no_room
+from .engines.processes import Answer, LocalHost, ProcessEngine, RayHost, ThisProcess, ray_session
+from .engines.serving import early_processes
 from .items import FOLDER
-from .job_file import JobFile
+from .job_file import JobFile, warn_of_shards
 from .manifest import OutputFolder, Part
 from .plan import Plan, make_plan, open_shards, unpaid
 from .scheduler import AIM, ChunkQueue, Dispatcher
@@ -78,9 +69,6 @@ class RunReport:
 
 MIN_AIM = 2.0  # seconds of a chunk where there are few workers, so that progress is seen
 WORKERS_PER_SECOND = 100  # for which a chunk takes a second more
-
-#: Items between two calls of `progress` while they are checked.
-CHECKED_AT_ONCE = 100
 
 Progress = Callable[[RunProgress], None]
 
@@ -138,7 +126,7 @@ def run_jobs(
         FileNotFoundError: If there is no such job file.
         ValueError: For a job file that cannot be read, a folder that another run writes to, a device that is not there,
             or a cluster that does not answer.
-        ImportError: For a cluster where Ray is not installed (`pip install 'warpcage[cluster]'`).
+        ImportError: For a cluster where Ray is not installed (the extra `cluster`).
         OSError: Where the output folder cannot be written to.
         RuntimeError: Where no worker can start.
     """
@@ -151,6 +139,7 @@ def run_jobs(
     folder, halt = OutputFolder(out, part), None
     with contextlib.ExitStack() as held:
         job = held.enter_context(JobFile(path))
+        warn_of_shards(job.records)
         journal = RunJournal(job, folder)
         folder.prepare()
         held.enter_context(folder.driven())
@@ -159,9 +148,10 @@ def run_jobs(
         local = cluster is None and workers in (None, 1) and item_timeout is None
         count = 0 if local or cluster is not None else min(workers or 1, len(span_of(job, folder)), cpu_threads())
         # which load beside the plan
-        early = held.enter_context(processes_beforehand(workers or 1, count, device, make is None))
+        held.enter_context(early_processes(workers or 1, count, device, make is None))
         folder.merge()
-        plan = _planned(job, folder, report)
+        with contextlib.closing(folder.read_manifest()) as manifest:
+            plan = make_plan(job, folder, manifest, lambda *counts: report(RunProgress("check", *counts)))
         shards = open_shards(plan, folder, job) if shard_size(job) else None
         begin = time.monotonic()
         if not len(plan.items) and not shards:
@@ -172,7 +162,16 @@ def run_jobs(
         local = local or not len(plan.items)  # here too, where shards are only to be packed
         dispatcher = None
         try:
-            with journal, _engine(settings, local, workers, cluster, early) as (engine, count):
+            with contextlib.ExitStack() as working:  # whatever ends it, nothing works afterwards
+                if local:
+                    host = ThisProcess(device)
+                elif cluster is None:
+                    host = LocalHost(workers or 1, device)
+                else:
+                    host = RayHost(working.enter_context(ray_session(cluster)), workers, device)
+                working.enter_context(journal)
+                engine = working.enter_context(contextlib.closing(ProcessEngine(host, settings)))
+                count = host.share.workers
                 aim = MIN_AIM if local else min(AIM, MIN_AIM + count / WORKERS_PER_SECOND)
                 chunks = ChunkQueue(plan.items, plan.groups, plan.kinds, aim=aim, whole=shards is not None)
                 dispatcher = Dispatcher(chunks, retries=retries, shards=shards)
@@ -180,8 +179,9 @@ def run_jobs(
                 for number in range(max(1, min(count, len(plan.items)))):
                     dispatcher.add_worker(str(number))
                 watch = _Watch(plan, dispatcher, count, begin, report, say, pays=count == 1 or cluster is not None)
-                limit = None if local else item_timeout
-                driver = Driver(dispatcher, engine, journal, item_timeout=limit, progress=watch.report, warn=watch.warn)
+                driver = Driver(
+                    dispatcher, engine, journal, item_timeout=item_timeout, progress=watch.report, warn=watch.warn
+                )
                 watch.report()
                 try:
                     halt = driver.run()
@@ -257,6 +257,15 @@ MIN_LOOK = 0.5  # seconds between two looks at a worker at least
 GRACE = 5.0  # seconds that workers get to end the items that they have begun, when a run is interrupted
 
 
+@dataclasses.dataclass
+class _Sent:
+    """A chunk that a worker has."""
+
+    order: Chunk
+    look: float  # when it is to be looked at
+    asked: float | None = None  # since when the worker owes an answer about it
+
+
 class Driver:
     """Makes all that a dispatcher has; item_timeout: seconds after which the worker of an item is ended, None is never.
     progress: called after each answer; warn: takes a line about a worker that died."""
@@ -264,7 +273,7 @@ class Driver:
     def __init__(
         self,
         dispatcher: Dispatcher,
-        engine: Engine,
+        engine: ProcessEngine,
         journal: RunJournal,
         *,
         item_timeout: float | None = None,
@@ -275,9 +284,7 @@ class Driver:
         self._limit, self._progress, self._warn = item_timeout, progress, warn
         self._idle: dict[str, None] = {}
         self._starts: collections.Counter[str] = collections.Counter()  # how often each was started
-        self._orders: dict[str, dict[int, Chunk]] = {}  # of the chunks of each worker, by number, the oldest first
-        self._looks: dict[tuple[str, int], float] = {}  # when a chunk of a worker is to be looked at
-        self._asked: dict[tuple[str, int], float] = {}  # since when a worker owes an answer about a chunk
+        self._sent: dict[str, dict[int, _Sent]] = {}  # chunks of each worker, by number, the oldest first
         self.halt: str | None = None  # why it ended before its end, one line
 
     def run(self) -> str | None:
@@ -286,7 +293,7 @@ class Driver:
             self._start(name)
         while not self._dispatcher.finished:
             for answer in self._engine.wait(TICK):
-                self._hear(answer)
+                self._take(answer)
                 self._progress()
             self._look()
             self._submit_chunks()
@@ -296,22 +303,22 @@ class Driver:
         """Let workers end, within seconds, what they have begun, and begin no more."""
         self.stop()
         end = self._engine.now() + seconds
-        while any(self._orders.values()) and self._engine.now() < end:
+        while any(self._sent.values()) and self._engine.now() < end:
             for answer in self._engine.wait(0.1):
-                self._hear(answer)
+                self._take(answer)
 
     def stop(self) -> None:
         """Let all workers begin no more items."""
         self._dispatcher.stop()
-        for name in self._orders:
+        for name in self._sent:
             self._engine.submit(name, "stop")
 
     def _start(self, name: str) -> None:
         self._starts[name] += 1
         self._engine.start(name, self._starts[name])
-        self._orders[name] = {}
+        self._sent[name] = {}
 
-    def _hear(self, answer: Answer) -> None:
+    def _take(self, answer: Answer) -> None:
         name, number = answer.worker, answer.number
         if answer.error is not None:
             self._died(name, answer.error)
@@ -319,17 +326,17 @@ class Driver:
             self._idle[name] = None
         elif answer.method == "recall":
             self._dispatcher.returned(name, number, answer.found)
-        elif answer.method == "oldest" and self._asked.pop((name, number), None) is not None:
+        elif answer.method == "oldest" and self._limit is not None and (sent := self._sent[name].get(number)):
             item, seconds = answer.found or (None, 0.0)
-            self._looks[name, number] = self._engine.now() + max((self._limit or 0.0) - seconds, MIN_LOOK)
-            if self._limit is not None and seconds > self._limit:
+            sent.asked, sent.look = None, self._engine.now() + max(self._limit - seconds, MIN_LOOK)
+            if seconds > self._limit:
                 self._died(name, f"its worker was ended: the item took longer than {self._limit:g} s", item)
         elif answer.method == "run":
             self._reported(name, number, answer.found)
 
     def _reported(self, name: str, number: int, report: ChunkReport) -> None:
         """A worker is done with a chunk. One that can make no more is ended; its other chunks are as its notes say."""
-        self._forget(name, number)
+        del self._sent[name][number]
         if report.broken is not None:
             for order in self._end(name):
                 rest, _ = self._journal.noted(name, self._starts[name], order)
@@ -362,12 +369,8 @@ class Driver:
     def _end(self, name: str) -> list[Chunk]:
         """Make sure that a worker is gone which may merely not answer; returns what it had, the oldest first."""
         self._idle.pop(name, None)
-        orders = list(self._orders.pop(name).values())
-        for order in orders:
-            self._looks.pop((name, order.number), None)
-            self._asked.pop((name, order.number), None)
         self._engine.cancel(name)
-        return orders
+        return [sent.order for sent in self._sent.pop(name).values()]
 
     def _replace(self, name: str, reason: str) -> None:
         """Start another process in the place of one that died, unless that dies again and again."""
@@ -380,19 +383,18 @@ class Driver:
         if not self._dispatcher.workers and not self._dispatcher.finished:
             raise StateError(f"no worker is left: {reason}")
 
-    def _forget(self, name: str, number: int) -> None:
-        del self._orders[name][number]
-        self._looks.pop((name, number), None)
-        self._asked.pop((name, number), None)
-
     def _look(self) -> None:
         """Ask workers whose items may be late, each once; those that do not answer are ended."""
+        if self._limit is None:
+            return
         now = self._engine.now()
-        for key in [key for key, when in self._looks.items() if when <= now and key not in self._asked]:
-            self._asked[key] = now
-            self._engine.submit(key[0], "oldest", key[1])
-        for name in dict.fromkeys(name for (name, _), asked in self._asked.items() if asked < now - ANSWER):
-            self._died(name, f"its worker was ended: it did not answer for {ANSWER:g} s")
+        for name, chunks in list(self._sent.items()):
+            for number, sent in chunks.items():
+                if sent.asked is None and sent.look <= now:
+                    sent.asked = now
+                    self._engine.submit(name, "oldest", number)
+            if any(sent.asked is not None and sent.asked < now - ANSWER for sent in chunks.values()):
+                self._died(name, f"its worker was ended: it did not answer for {ANSWER:g} s")
 
     def _submit_chunks(self) -> None:
         """Give work to workers that have none; where there is none, ask those that are late for some of theirs."""
@@ -404,12 +406,12 @@ class Driver:
             if chunk is None:
                 continue
             del self._idle[name]
-            order = self._orders[name][chunk.number] = self._journal.order(chunk)
+            order = self._journal.order(chunk)
             self._engine.submit(name, "run", order)
             if self._engine.overlapping:
                 self._engine.submit(name, "begun", chunk.number)
-            if self._limit is not None:  # none of its items can be late before
-                self._looks[name, chunk.number] = self._engine.now() + self._limit
+            # none of its items can be late before
+            self._sent[name][chunk.number] = _Sent(order, self._engine.now() + (self._limit or 0.0))
         for name, number, share in dispatcher.recalls(len(self._idle), self._engine.now()):
             self._engine.submit(name, "recall", number, share)
 
@@ -422,36 +424,8 @@ def _ended(
         with contextlib.closing(folder.read_manifest()) as manifest:
             finish_folder(folder.path, job, manifest)
     seconds = time.monotonic() - begin
-    if dispatcher is None:
+    if dispatcher is None:  # all was there
         return RunReport(plan.total, plan.kept, 0, {}, 0, halt, seconds)
     failed = {job.item(index).id: line for index, line in sorted(dispatcher.failures.items())}
     failed |= {shard_path(folder.path, shard).name: line for shard, line in dispatcher.unpacked}
     return RunReport(plan.total, plan.kept, dispatcher.done, failed, dispatcher.left, halt, seconds)
-
-
-def _planned(job: JobFile, folder: OutputFolder, progress: Progress) -> Plan:
-    """What is to be made; the folder's notes are merged already."""
-    total = len(span_of(job, folder))
-
-    def report(count: int) -> None:
-        if not count % CHECKED_AT_ONCE or count == total:
-            progress(RunProgress("check", total, count))
-
-    with contextlib.closing(folder.read_manifest()) as manifest:
-        return make_plan(job, folder, manifest, report)
-
-
-@contextlib.contextmanager
-def _engine(
-    settings: RunnerSettings, local: bool, workers: int | None, cluster: str | None, early: Mapping[str, LocalProcess]
-) -> Iterator[tuple[Engine, int]]:
-    """Where the work is done, and by how many. Whatever ends it, nothing works afterwards."""
-    with contextlib.ExitStack() as held:
-        if local:
-            yield held.enter_context(contextlib.closing(LocalEngine(make_runner(settings)))), 1
-            return
-        if cluster is None:
-            host = LocalHost(workers or 1, settings.device, early=early)
-        else:
-            host = RayHost(held.enter_context(ray_session(cluster)), workers, settings.device)
-        yield held.enter_context(contextlib.closing(ProcessEngine(host, settings))), host.share.workers

@@ -92,7 +92,7 @@ class ChunkQueue:
         for table, key in tables:
             table.setdefault(key, _Seconds()).note(seconds, items)
 
-    def choose(self, loaded: int | None, sharers: dict[int, int]) -> int | None:
+    def choose(self, loaded: int | None, sharers: collections.Counter[int | None]) -> int | None:
         """The group of which a worker should take its next chunk; loaded: that it has; sharers: workers at each."""
         # The loaded one while any is left, else the largest that none has begun, else that with most left a worker.
         if loaded is not None and self.left_in(loaded):
@@ -103,7 +103,7 @@ class ChunkQueue:
             if group not in self._open and self.left_in(group):
                 self._open.add(group)
                 return group
-        return max(self._open, key=lambda group: self.left_in(group) / (1 + sharers.get(group, 0)), default=None)
+        return max(self._open, key=lambda group: self.left_in(group) / (1 + sharers[group]), default=None)
 
     def take(self, group: int, workers: int) -> tuple[list[int], int]:
         """Cut a chunk of a group; returns the items, and the group of the last of them."""
@@ -160,7 +160,7 @@ class ChunkQueue:
 
 
 #: Deaths of a worker in a row, none of which made an item, after which its place is given up.
-MAX_BARREN = 3
+MAX_EARLY_DEATHS = 3
 
 MIN_SHARED = 2.0  # a chunk is shortened for a worker with nothing to do where it would take so many more seconds
 STRAGGLING = 2.0  # a worker that takes so many times what its chunk should have taken gives back what is not begun
@@ -170,24 +170,19 @@ STRAGGLING = 2.0  # a worker that takes so many times what its chunk should have
 class _Worker:
     """A place where a process works; when that dies, another takes its place."""
 
-    chunk: Chunk | None = None  # of which items are made
-    ending: dict[int, Chunk] = dataclasses.field(default_factory=dict)  # whose files are being written, by number
+    chunks: dict[int, Chunk] = dataclasses.field(default_factory=dict)  # all that it has, by number, the oldest first
+    making: int | None = None  # number of that of which items are made; files of the others are being written
     began: float = 0.0
     group: int | None = None
     consecutive_failures: int = 0  # deaths in a row without an item
     recalled: bool = False  # whether its chunk was asked back
-
-    @property
-    def chunks(self) -> list[Chunk]:
-        """All that it has, the oldest first."""
-        return [*self.ending.values(), *([] if self.chunk is None else [self.chunk])]
 
 
 class Dispatcher:
     """Gives chunks to workers, and knows when all is settled; retries: how often an item may be tried again.
     shards: items that are open of each shard, where chunks are shards; 0 where it is only to be packed."""
 
-    # Times are handed in: a simulation under a virtual clock runs the very same code (python benchmarks batch-scale).
+    # Times are arguments: a simulation under a virtual clock runs the very same code (python benchmarks batch-scale).
 
     def __init__(self, chunks: ChunkQueue, *, retries: int = 2, shards: dict[int, int] | None = None):
         self.chunks, self.retries = chunks, retries
@@ -195,7 +190,7 @@ class Dispatcher:
         self.failures: dict[int, str] = {}  # items that will not be tried again, with one line each
         self.stopped = False
         self._workers: dict[str, _Worker] = {}
-        self._sharers: collections.Counter[int] = collections.Counter()  # workers at each group
+        self._sharers: collections.Counter[int | None] = collections.Counter()  # workers at each group
         self._attempts: dict[int, int] = {}  # items that failed before
         self._retries: collections.deque[tuple[int, int, str]] = collections.deque()  # item, group, where it failed
         self._shards = None if shards is None else {shard: count for shard, count in shards.items() if count}
@@ -207,7 +202,7 @@ class Dispatcher:
 
     @property
     def finished(self) -> bool:
-        """Whether there is nothing left to be handed out or waited for."""
+        """Whether there is nothing left to be assigned or waited for."""
         return not self._busy and (self.stopped or not self.open)
 
     @property
@@ -223,7 +218,7 @@ class Dispatcher:
     @property
     def left(self) -> int:
         """Items that are neither made nor failed."""
-        held = sum(len(chunk.items) for name in self._busy for chunk in self._workers[name].chunks)
+        held = sum(len(chunk.items) for name in self._busy for chunk in self._workers[name].chunks.values())
         return self.chunks.left + len(self._retries) + held
 
     @property
@@ -237,7 +232,7 @@ class Dispatcher:
     def takes(self, name: str) -> bool:
         """Whether a worker can make the items of another chunk."""
         worker = self._workers[name]
-        return worker.chunk is None and len(worker.ending) < MAX_CHUNKS
+        return worker.making is None and len(worker.chunks) < MAX_CHUNKS
 
     def add_worker(self, name: str) -> None:
         """A place where work can be done; its process may start later."""
@@ -253,25 +248,26 @@ class Dispatcher:
         chunk = chunk or self._retry(name, worker, loaded_only=False)
         if chunk is None:
             return None
-        worker.chunk, worker.began, worker.recalled = chunk, now, False
+        worker.chunks[chunk.number] = chunk
+        worker.making, worker.began, worker.recalled = chunk.number, now, False
         self._busy.add(name)
         return chunk
 
     def begun(self, name: str, number: int) -> bool:
         """A worker has begun all items of a chunk; returns whether it takes another one while files are written."""
         worker = self._workers.get(name)
-        if worker is None or worker.chunk is None or worker.chunk.number != number:
+        if worker is None or worker.making != number:
             return False  # not what it makes: its report was there before
-        worker.ending[number], worker.chunk = worker.chunk, None
+        worker.making = None
         return self.takes(name)
 
     def reported(self, name: str, report: ChunkReport, number: int | None = None) -> None:
         """A worker is done with a chunk; number: of the chunk, None is the one of which it makes items."""
         worker = self._workers[name]
-        chunk = worker.ending.pop(number, None) if number is not None else None
-        if chunk is None:
-            chunk, worker.chunk = worker.chunk, None
-        assert chunk is not None and number in (None, chunk.number)
+        number = worker.making if number is None else number
+        assert number is not None
+        chunk = worker.chunks.pop(number)
+        worker.making = None if worker.making == number else worker.making
         self._settle(name, [chunk], report)
         if chunk.shard is not None and report.pack_error is not None:
             self._pack_again(chunk, report.pack_error)
@@ -291,7 +287,7 @@ class Dispatcher:
         worker = self._workers[name]
         self._move(worker, None)  # what takes its place has nothing loaded
         worker.consecutive_failures = 0 if report.done else worker.consecutive_failures + (not begun)
-        chunks, worker.chunk, worker.ending = worker.chunks, None, {}
+        chunks, worker.chunks, worker.making = list(worker.chunks.values()), {}, None
         if not chunks:
             return []
         lost: list[tuple[int, str]] = []
@@ -315,7 +311,7 @@ class Dispatcher:
 
     def given_up(self, name: str) -> bool:
         """Whether a worker's place is not filled again, as it dies before it makes anything; it is forgotten then."""
-        if self._workers[name].consecutive_failures < MAX_BARREN:
+        if self._workers[name].consecutive_failures < MAX_EARLY_DEATHS:
             return False
         del self._workers[name]
         return True
@@ -328,7 +324,7 @@ class Dispatcher:
         late = []
         for name in self._busy:
             worker = self._workers[name]
-            chunk = worker.chunk
+            chunk = worker.chunks.get(worker.making or 0)
             if chunk is None or worker.recalled or len(chunk.items) < 2:
                 continue
             seconds = self.chunks.seconds(chunk.group)
@@ -346,14 +342,12 @@ class Dispatcher:
     def returned(self, name: str, number: int, items: Sequence[int]) -> None:
         """A worker gave back items of its chunk that it had not begun."""
         worker = self._workers.get(name)
-        if worker is None or worker.chunk is None or worker.chunk.number != number or not items:
+        if worker is None or worker.making != number or not items:
             return  # the chunk ended meanwhile, or soon will: its report says what was left
-        back = set(items)
-        kept = [k for k, item in enumerate(worker.chunk.items) if item not in back]
-        chunk = worker.chunk
-        worker.chunk = dataclasses.replace(
-            chunk, items=[chunk.items[k] for k in kept], attempts=[chunk.attempts[k] for k in kept]
-        )
+        chunk, back = worker.chunks[number], set(items)
+        kept = [(item, tries) for item, tries in zip(chunk.items, chunk.attempts, strict=True) if item not in back]
+        chunk = dataclasses.replace(chunk, items=[item for item, _ in kept], attempts=[tries for _, tries in kept])
+        worker.chunks[number] = chunk
         worker.recalled = False  # what it still holds may be asked for later
         self.chunks.put_back(chunk.group, items)
 
@@ -362,7 +356,7 @@ class Dispatcher:
         self.stopped = True
 
     def _settle(self, name: str, chunks: Sequence[Chunk], report: ChunkReport) -> None:
-        """Count what a report of chunks says that a worker has no more, and put the rest back to be handed out."""
+        """Count what a report of chunks says that a worker has no more, and put the rest back into the queue."""
         if not self._workers[name].chunks:
             self._busy.discard(name)
         groups = {item: chunk.group for chunk in chunks for item in chunk.items}  # without what it gave back meanwhile
@@ -390,9 +384,9 @@ class Dispatcher:
         group = self.chunks.choose(worker.group, self._sharers)
         if group is None:
             return None
+        known = self.chunks.whole or self.chunks.seconds(group) is not None
         items, taken = self.chunks.take(group, len(self._workers))
         self._move(worker, taken)
-        known = self.chunks.whole or self.chunks.seconds(group) is not None
         return self._chunk(items, taken, None if known else self.chunks.aim)
 
     def _retry(self, name: str, worker: _Worker, loaded_only: bool) -> Chunk | None:
@@ -410,8 +404,7 @@ class Dispatcher:
         if not self._packs:
             return None
         shard, attempts = self._packs.popleft()
-        self._number += 1
-        return Chunk(self._number, [], [attempts], worker.group or 0, shard)
+        return dataclasses.replace(self._chunk([], worker.group or 0), attempts=[attempts], shard=shard)
 
     def _pack_again(self, chunk: Chunk, reason: str) -> None:
         assert chunk.shard is not None
@@ -427,12 +420,6 @@ class Dispatcher:
 
     def _move(self, worker: _Worker, group: int | None) -> None:
         """Note what a worker has loaded."""
-        if worker.group == group:
-            return
-        if worker.group is not None:
-            self._sharers[worker.group] -= 1
-            if not self._sharers[worker.group]:
-                del self._sharers[worker.group]
-        if group is not None:
-            self._sharers[group] += 1
+        self._sharers[worker.group] -= 1
+        self._sharers[group] += 1
         worker.group = group

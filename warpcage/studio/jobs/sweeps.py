@@ -8,7 +8,7 @@ import math
 import multiprocessing
 import pathlib
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
@@ -25,7 +25,7 @@ from ...errors import InputError
 from ...view.camera import Camera, CameraFile, CameraKey
 from .job_file import write_jobs
 
-#: Poses that a process gets at once, and that each gets before the next ones are handed out.
+#: Poses that a process gets at once, and that each gets before the next ones are assigned.
 AT_ONCE, AHEAD = 4, 256
 
 #: What this process draws.
@@ -164,18 +164,6 @@ class SweepFiles:
     items: int
 
 
-def poses_path(jobs: PathLike) -> pathlib.Path:
-    """The file of a sweep's poses; jobs: its job file."""
-    path = pathlib.Path(jobs)
-    return path.with_name(f"{path.stem}.poses.npy")
-
-
-def cameras_path(jobs: PathLike) -> pathlib.Path:
-    """The file of a sweep's cameras; jobs: its job file."""
-    path = pathlib.Path(jobs)
-    return path.with_name(f"{path.stem}.cameras.json")
-
-
 class _Corners:
     """The lowest and highest corner of a cage at rest and its poses."""
 
@@ -196,25 +184,21 @@ class _Corners:
             self.found[1] = np.maximum(self.found[1], vertices.max(axis=0))
             yield vertices
 
+    def write(self, path: pathlib.Path, sources: Sequence[PoseSource]) -> None:
+        """Write poses as one array, one after the other."""
+        header = {"descr": "<f8", "fortran_order": False, "shape": (sum(map(len, sources)), *self._shape)}
+        # written, not mapped: a disk that gets full under a mapped file kills the process
+        with path.open("wb") as file:
+            np.lib.format.write_array_header_1_0(file, header)
+            for source in sources:
+                file.writelines(vertices.tobytes() for vertices in self.checked(source))
 
-def _write_poses(path: pathlib.Path, rest: Cage, sources: Sequence[PoseSource], corners: _Corners) -> None:
-    """Write poses as one array, one after the other."""
-    header = {"descr": "<f8", "fortran_order": False, "shape": (sum(map(len, sources)), *rest.vertices.shape)}
-    # written, not mapped: a disk that gets full under a mapped file kills the process
-    with path.open("wb") as file:
-        np.lib.format.write_array_header_1_0(file, header)
+    def draw(self, sources: Sequence[PoseSource], framed: bool) -> None:
+        """Draw some of the poses that workers draw: those that cameras are to see whole, or the first, as a trial."""
+        share = None if sum(map(len, sources)) <= FRAMED else -(-FRAMED // len(sources))
         for source in sources:
-            for vertices in corners.checked(source):
-                file.write(vertices.tobytes())
-
-
-def _look_at_drawn(sources: Sequence[PoseSource], corners: _Corners, framed: bool) -> None:
-    """Draw some of the poses that workers draw: those that cameras are to see whole, or the first, as a trial."""
-    total = sum(map(len, sources))
-    share = None if total <= FRAMED else -(-FRAMED // len(sources))
-    for source in sources:
-        for _ in corners.checked(source, share if framed else 1):
-            pass
+            for _ in self.checked(source, share if framed else 1):
+                pass
 
 
 def write_sweep(
@@ -231,7 +215,7 @@ def write_sweep(
     records: Mapping[str, Any] | None = None,
     defaults: Mapping[str, Any] | None = None,
 ) -> SweepFiles:
-    """Write the job file of a sweep, and beside it its poses (`poses_path`) and the cameras that they share.
+    """Write the job file of a sweep, and beside it its poses (.poses.npy) and their common cameras (.cameras.json).
     cameras: shared, in the world of the field; or a function that makes them, or `RandomViews`, of corners (2, 3)."""
     # Poses that workers draw are named by what they are drawn by, and not written. Corners: the lowest and highest of
     # all poses and of the cage at rest; of poses that workers draw the first FRAMED, spread over their sources. Each
@@ -243,74 +227,71 @@ def write_sweep(
         raise InputError(f"a sweep needs kinds of coordinates, each once, got {list(coordinates)}")
     if not sum(map(len, sources)):
         raise InputError("a sweep needs at least one pose")
-    given = [source for source in sources if len(source) and source.drawn(0) is None]
+    written = [source for source in sources if len(source) and source.drawn(0) is None]
     drawn = [source for source in sources if len(source) and source.drawn(0) is not None]
+    poses, named = (path.with_name(f"{path.stem}.{ending}") for ending in ("poses.npy", "cameras.json"))
     corners = _Corners(rest)
-    _look_at_drawn(drawn, corners, callable(cameras))
-    with atomic_path(poses_path(path)) if given else contextlib.nullcontext() as temporary:
+    corners.draw(drawn, callable(cameras))
+    with atomic_path(poses) if written else contextlib.nullcontext() as temporary:
         if temporary is not None:
-            _write_poses(temporary, rest, given, corners)
+            corners.write(temporary, written)
         chosen = cameras(corners.found) if callable(cameras) else cameras
-        beside = path.absolute().parent
-        shared = {"field": path_from(beside, field), "cage": path_from(beside, cage), **(defaults or {})}
-        items = _Items(path, sources, chosen, kinds, views, seed)
-        count = write_jobs(path, items, defaults=shared | items.shared, records=records or {"kind": "folder"})
-        if not isinstance(chosen, RandomViews):
-            # names that are their numbers: those of files may be anything
-            CameraFile([CameraKey(camera, name=str(index)) for index, camera in enumerate(chosen)]).save(items.named)
-    return SweepFiles(
-        path, poses_path(path) if given else None, None if isinstance(chosen, RandomViews) else items.named, count
-    )
-
-
-class _Items:
-    """The items of a sweep by pose, coordinates and camera: a map is made once for the cameras of a pose."""
-
-    def __init__(
-        self,
-        path: pathlib.Path,
-        sources: Sequence[PoseSource],
-        cameras: Sequence[Camera] | RandomViews,
-        kinds: Sequence[str],
-        views: int | None,
-        seed: int,
-    ):
-        self._sources, self._cameras, self._kinds, self._views, self._seed = sources, cameras, kinds, views, seed
-        self._count = cameras.count if isinstance(cameras, RandomViews) else len(cameras)
-        if not self._count:
+        shared = None if isinstance(chosen, RandomViews) else chosen
+        count = chosen.count if isinstance(chosen, RandomViews) else len(chosen)
+        if not count:
             raise InputError("a sweep needs at least one camera")
+        if views is not None and shared is None:
+            raise InputError("random views are other ones for each pose: ask for as many as are wanted")
         if views is not None:
-            if isinstance(cameras, RandomViews):
-                raise InputError("random views are other ones for each pose: ask for as many as are wanted")
-            checked_whole(views, "views", 1, self._count)
-        self._poses, self.named = poses_path(path).name, cameras_path(path)
-        self.shared = {"coordinates": kinds[0]} if len(kinds) == 1 else {}
+            checked_whole(views, "views", 1, count)
 
-    def __iter__(self) -> Iterator[dict[str, Any]]:
-        several = len(self._kinds) > 1
-        digits = max(3, len(str(self._count - 1)))
-        for pose, (posed, origin) in enumerate(self._named_poses()):
-            own = self._cameras.of(pose) if isinstance(self._cameras, RandomViews) else None
-            chosen = range(self._count) if self._views is None else _chosen(self._seed, pose, self._count, self._views)
-            for kind in self._kinds:
-                folder = f"pose_{pose:06d}" + (f"_{kind}" if several else "")
-                for number in chosen:
-                    yield {
-                        "id": f"{folder}/camera_{number:0{digits}d}",
-                        "posed": posed,
-                        "camera": f"{self.named.name}#{number}" if own is None else own[number],
-                        **({"coordinates": kind} if several else {}),
-                        "extra": {"pose": pose, "camera": number, **origin},
-                    }
+        def of_pose(number: int) -> Iterator[tuple[int, Any]]:
+            if isinstance(chosen, RandomViews):
+                yield from enumerate(chosen.of(number))
+            else:
+                for camera in range(count) if views is None else _chosen(seed, number, count, views):
+                    yield camera, f"{named.name}#{camera}"
 
-    def _named_poses(self) -> Iterator[tuple[Any, dict[str, Any]]]:
-        """What items call each pose, and where it comes from."""
-        row = 0
-        for source in self._sources:
-            for number in range(len(source)):
-                posed = source.drawn(number)
-                yield f"{self._poses}#{row}" if posed is None else posed, source.origin(number)
-                row += posed is None
+        beside = path.absolute().parent
+        usual = {"field": path_from(beside, field), "cage": path_from(beside, cage), **(defaults or {})}
+        usual |= {"coordinates": kinds[0]} if len(kinds) == 1 else {}
+        items = _items(_named_poses(sources, poses.name), of_pose, kinds, max(3, len(str(count - 1))))
+        written_items = write_jobs(path, items, defaults=usual, records=records or {"kind": "folder"})
+        if shared is not None:
+            # names that are their numbers: those of files may be anything
+            CameraFile([CameraKey(camera, name=str(index)) for index, camera in enumerate(shared)]).save(named)
+    return SweepFiles(path, poses if written else None, None if shared is None else named, written_items)
+
+
+def _items(
+    poses: Iterable[tuple[Any, dict[str, Any]]],
+    cameras: Callable[[int], Iterable[tuple[int, Any]]],  # numbers and cameras of a pose
+    kinds: Sequence[str],
+    digits: int,
+) -> Iterator[dict[str, Any]]:
+    """The items of a sweep by pose, coordinates and camera: a map is made once for the cameras of a pose."""
+    for pose, (posed, origin) in enumerate(poses):
+        seen = list(cameras(pose))
+        for kind in kinds:
+            folder = f"pose_{pose:06d}" + (f"_{kind}" if len(kinds) > 1 else "")
+            for number, camera in seen:
+                yield {
+                    "id": f"{folder}/camera_{number:0{digits}d}",
+                    "posed": posed,
+                    "camera": camera,
+                    **({"coordinates": kind} if len(kinds) > 1 else {}),
+                    "extra": {"pose": pose, "camera": number, **origin},
+                }
+
+
+def _named_poses(sources: Iterable[PoseSource], file: str) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """What items call each pose, and where it comes from; file: of the poses that are written."""
+    row = 0
+    for source in sources:
+        for number in range(len(source)):
+            posed = source.drawn(number)
+            yield f"{file}#{row}" if posed is None else posed, source.origin(number)
+            row += posed is None
 
 
 def _chosen(seed: int, pose: int, count: int, views: int) -> list[int]:

@@ -7,9 +7,9 @@ import gc
 import json
 import os
 import pathlib
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -35,13 +35,13 @@ from ...scene.scene import Scene
 from ...splats.io import splat_path
 from ...splats.splat_field import AnyField, read_field
 from ...view.camera import Camera, CameraKey, camera_json
-from ...view.exr import mean_picture, write_picture
+from ...view.exr import write_picture
 from ...view.frame import RGB_BYTES, Frame, depth_along_view
 from ...view.frame_parts import picture
-from ...view.pictures import LIGHT_KEPT, PictureCuts, to_uint8
-from ..films.render import HeldPose, drawn_cages, require_fillable
-from ..films.resolve import References, RestCage
-from ..films.video import deep_pixels, write_film_frame
+from ...view.pictures import LIGHT_KEPT, PictureCuts
+from ..films.render import HeldPose, Look, Shot, blurred_picture, drawn_cages, render_shot, require_fillable
+from ..films.resolve import AssetResolver, RestCage
+from ..films.video import write_film_frame
 from .items import EvaluateItem, FitItem, FrameItem, Item, digest
 from .job_file import Fingerprints
 from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, write_array, write_outputs
@@ -93,15 +93,15 @@ class LoadedFields:
     """Fields by their files, of which those stay loaded that were used last.
     memory: bytes that they may take together, but one stays whatever it takes; None is a quarter of what is free."""
 
-    def __init__(self, references: References, device: wp.Device, memory: int | None = None):
-        self.references, self.device, self.read_count = references, device, 0
+    def __init__(self, resolver: AssetResolver, device: wp.Device, memory: int | None = None):
+        self.resolver, self.device, self.read_count = resolver, device, 0
         self.dropped: Callable[[AnyField], Any] = lambda field: None  # called with a field that is let go, before it is
         limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
         self.kept: LRUCache[AnyField] = LRUCache(MAX_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
 
     def get(self, name: str, scene_scale: float) -> tuple[Hashable, AnyField]:
         """A key that is another where the file has changed, and the field; scene_scale: as `VoxelField.load` has it."""
-        path, stamp = self.references.stamped(str(splat_path(self.references.path(name))), "field file")
+        path, stamp = self.resolver.stamped(str(splat_path(self.resolver.path(name))), "field file")
 
         def load() -> AnyField:
             self.read_count += 1
@@ -109,16 +109,6 @@ class LoadedFields:
 
         key = path, stamp, scene_scale
         return key, self.kept.get(key, load)
-
-
-class Shot(NamedTuple):
-    """A frame that was rendered, and what it shows."""
-
-    frame: Frame
-    camera: Camera
-    posed: list[Cage | None]
-    drawn: list[Cage]  # cages whose edges an overlay draws
-    bound_key: Hashable
 
 
 class WorkerCuts(PictureCuts):
@@ -138,8 +128,8 @@ class FrameMaker:
     """Renders frames, and keeps what the next ones need: fields, deformers, and the map of the last pose.
     memory: bytes of deformers beside their fields, one stays whatever it takes; None is a quarter of what is free."""
 
-    def __init__(self, references: References, fields: LoadedFields, memory: int | None = None):
-        self.references, self.fields, self.counts, self.cuts = references, fields, Counts(), WorkerCuts(fields.device)
+    def __init__(self, resolver: AssetResolver, fields: LoadedFields, memory: int | None = None):
+        self.resolver, self.fields, self.counts, self.cuts = resolver, fields, Counts(), WorkerCuts(fields.device)
         limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
         self.kept: LRUCache[Bound] = LRUCache(MAX_DEFORMERS, limit, _bound_bytes)
         fields.dropped = self._drop_bound_to
@@ -157,61 +147,51 @@ class FrameMaker:
             raise InputError("'antialias' is for files of splats, this field is one of voxels (.npz)")
         if item.fill:
             require_fillable(field, "'fill'")
-        shots = item.shots
-        middle, images = self._shot(shots[len(shots) // 2], field_key, field), []
-        for number, each in enumerate(shots if item.moments else ()):
-            shot = middle if number == len(shots) // 2 else self._shot(each, field_key, field)
-            images.append(item.look.picture(shot.frame, shot.camera, shot.drawn))
-            if images[-1].shape != images[0].shape:
-                raise InputError(f"moment {number + 1} of 'moments' has a picture of another size than the first")
-        frame, bound_key = middle.frame, middle.bound_key
-        needed = needed_arrays(item, frame)
-        frame.begin_copies(*needed)  # on their way to the host when this returns
-        mean = mean_picture(images) if images else None
-        pictures = [(part, path) for part, path in item.outputs.items() if part not in OF_RECORDS]
-        writers = {path: _writer(part, path, item, middle, mean, self.cuts) for part, path in pictures}
-        writers |= _record_writers(item, middle.camera, middle.posed)
+        look, moments = Look.of(item), item.shots
+        cameras = [self.resolver.camera(each.camera, item.size, field) for each in moments]
+        sizes = [(camera.width, camera.height) for camera in cameras]
+        if other := next((number for number, size in enumerate(sizes, 1) if size != sizes[0]), None):
+            raise InputError(f"moment {other} of 'moments' has a picture of another size than the first")
+        bound_key, bound = self._bound(item, field_key, field, cameras[0]) if item.edits else (None, None)
+        poses = [[] if bound is None else self._cages(each, bound) for each in moments]
+
+        def shots() -> Iterator[Shot]:
+            for camera, cages in zip(cameras, poses, strict=True):
+                if bound is not None:
+                    self.counts.poses += bound.pose(cages)
+                self.counts.frames += 1
+                drawn = [] if bound is None else drawn_cages(bound.deformer)
+                yield render_shot(look, field if bound is None else bound.deformer, camera, drawn)
+
+        mean, shot = blurred_picture(look, shots(), len(moments)) if item.moments else (None, next(shots()))
+        needed = needed_arrays(item, shot.frame)
+        shot.frame.begin_copies(*needed)  # on their way to the host when this returns
+        posed = poses[len(moments) // 2]
+        outputs = sorted(item.outputs.items(), key=lambda output: output[0] in OF_RECORDS)  # these last
+        writers = {path: _writer(part, path, item, shot, posed, mean, self.cuts) for part, path in outputs}
         self.fields.kept.settle(field_key)
         self.kept.settle(bound_key)
-        return MadeItem(writers, sum(_host_bytes(frame, name) for name in needed))
+        return MadeItem(writers, sum(_host_bytes(shot.frame, name) for name in needed))
 
-    def _shot(self, item: FrameItem, field_key: Hashable, field: AnyField) -> Shot:
-        """Pose and render an item without moments."""
-        camera = self.references.camera(item.camera, item.size, field)
-        bound_key, renderer, drawn = None, field, []
-        posed: list[Cage | None] = []
-        if item.edits:
-            bound_key, bound = self._deformer(item, field_key, field, camera)
-            posed = self._pose(bound, item)
-            renderer, drawn = bound.deformer, drawn_cages(bound.deformer)
-        frame = item.look.render(renderer, camera)
-        self.counts.frames += 1
-        return Shot(frame, camera, posed, drawn, bound_key)
-
-    def _deformer(
-        self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera
-    ) -> tuple[Hashable, Bound]:
-        cells = picture_cells(camera) if item.resolution is None else item.resolution
-        files = [self.references.stamped(edit.cage, "cage file") for edit in item.edits if isinstance(edit.cage, str)]
+    def _bound(self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera) -> tuple[Hashable, Bound]:
+        """A Deformer for an item, and its key."""
+        options = item.deformer_options(picture_cells(camera))
+        files = [self.resolver.stamped(edit.cage, "cage file") for edit in item.edits if isinstance(edit.cage, str)]
         rest = canonical([edit.rest for edit in item.edits])
-        key = field_key, rest, tuple(files), item.coordinates, cells, item.density, item.map
+        key = field_key, rest, tuple(files), *options.values()
 
         def bind() -> Bound:
-            rests = [self.references.rest_cage(edit, field) for edit in item.edits]
+            rests = [self.resolver.rest(edit.cage, edit.up, field, object=edit.object) for edit in item.edits]
             edits = [edit_from_spec(edit, rest.cage) for edit, rest in zip(item.edits, rests, strict=True)]
             self.counts.deformers += 1
-            resolution = None if cells == "precise" else int(cells)
-            options: dict[str, Any] = {"coordinates": item.coordinates, "density": item.density, "map": item.map}
-            return Bound(Deformer(field, edits, resolution=resolution, **options), rests)
+            return Bound(Deformer(field, edits, **options), rests)
 
         return key, self.kept.get(key, bind)
 
-    def _pose(self, bound: Bound, item: FrameItem) -> list[Cage | None]:
-        """Move the cages of a Deformer, if they are not there; returns them."""
-        field, edits = bound.deformer.field, zip(item.edits, bound.rests, strict=True)
-        cages = [self.references.posed_cage(edit, rest, field) for edit, rest in edits]
-        self.counts.poses += bound.pose(cages)
-        return cages
+    def _cages(self, item: FrameItem, bound: Bound) -> list[Cage | None]:
+        """The posed cage of each edit of an item, None for one that removes."""
+        edits = zip(item.edits, bound.rests, strict=True)
+        return [None if edit.remove else self.resolver.pose(rest, edit.posed, edit.up) for edit, rest in edits]
 
 
 def _bound_bytes(bound: Bound) -> int:
@@ -220,7 +200,7 @@ def _bound_bytes(bound: Bound) -> int:
 
 def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
     """Names of the arrays of a frame that its outputs are made of: to copy all takes longer than a frame on a GPU."""
-    needed = {"alpha"} if item.look.is_transparent else set()
+    needed = {"alpha"} if Look.of(item).is_transparent else set()
     for part, path in item.outputs.items():
         if part not in OF_RECORDS:
             needed.update([RGB_BYTES] if is_bytes(item, part, path) else ARRAYS_OF_PARTS.get(part, frame.arrays))
@@ -229,7 +209,7 @@ def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
 
 def is_bytes(item: FrameItem, part: str, path: str) -> bool:
     """Whether an output is made of the colours of a frame as bytes, with nothing done to them."""
-    plain = part == "rgb" and not item.look.is_transparent and not item.overlay and not item.moments
+    plain = part == "rgb" and not Look.of(item).is_transparent and not item.overlay and not item.moments
     return plain and pathlib.PurePosixPath(path).suffix.lower() in BYTE_ENDINGS
 
 
@@ -265,20 +245,23 @@ def frame_record(item: FrameItem, camera: Camera, posed: Sequence[Cage | None]) 
     return record if item.extra is None else record | {"extra": item.extra}
 
 
-def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -> dict[str, Writer]:
-    """What writes the parts of a record that are no pictures."""
-    writers: dict[str, Writer] = {
-        "pose": lambda path: write_array(path, pose_array(posed)),
-        "record": lambda path: path.write_bytes(
-            (json.dumps(frame_record(item, camera, posed), ensure_ascii=False) + "\n").encode()
-        ),
-    }
-    return {item.outputs[part]: write for part, write in writers.items() if part in item.outputs}
-
-
-def _writer(part: str, path: str, item: FrameItem, shot: Shot, mean: np.ndarray | None, cuts: WorkerCuts) -> Writer:
-    """What writes a picture of a frame; mean: its colours where they are those of several moments."""
+def _writer(
+    part: str,
+    path: str,
+    item: FrameItem,
+    shot: Shot,
+    posed: Sequence[Cage | None],
+    mean: np.ndarray | None,  # colours where they are those of several moments
+    cuts: WorkerCuts,
+) -> Writer:
+    """What writes a part of a frame."""
     frame, camera = shot.frame, shot.camera
+    if part == "pose":
+        return lambda temporary: write_array(temporary, pose_array(posed))
+    if part == "record":
+        return lambda temporary: temporary.write_bytes(
+            (json.dumps(frame_record(item, camera, posed), ensure_ascii=False) + "\n").encode()
+        )
     ending = pathlib.PurePosixPath(path).suffix.lower()
     if part in ("reveal", "fold", "outside", "masks") and "reveal" not in frame.arrays:
         raise InputError(f"{part!r} is for fields of voxels (.npz), this one is of splats")
@@ -286,37 +269,37 @@ def _writer(part: str, path: str, item: FrameItem, shot: Shot, mean: np.ndarray 
         return lambda temporary: write_array(temporary, getattr(frame, part))
 
     def image() -> np.ndarray:
+        if part == "depth" and ending == ".exr":
+            return np.repeat(frame.alpha[..., None], 3, axis=-1)
         if is_bytes(item, part, path):
             return frame.rgb if cuts.floats else frame.rgb_bytes
         if part in ("rgb", "film"):
-            return item.look.picture(frame, camera, shot.drawn) if mean is None else mean
+            return Look.of(item).picture(*shot) if mean is None else mean
         if part in ("reveal", "fold"):
             return np.clip(getattr(frame, part), 0.0, 1.0)
         return picture(frame, part, scale=item.disparity_scale)
 
-    if ending == ".exr":
-        shown = (lambda: np.repeat(frame.alpha[..., None], 3, axis=-1)) if part == "depth" else image
-        return lambda temporary: write_picture(temporary, shown(), depth_along_view(frame, camera), cuts=cuts)
-
     def write(temporary: pathlib.Path) -> None:
         if part == "film":
-            write_film_frame(temporary, deep_pixels(image(), cuts))
+            write_film_frame(temporary, image(), cuts=cuts)
         else:
-            write_picture(temporary, to_uint8(image(), cuts))
-        cuts.report(path)
+            depth = depth_along_view(frame, camera) if ending == ".exr" else None
+            write_picture(temporary, image(), depth, cuts=cuts)
+        if ending != ".exr":
+            cuts.report(path)
 
     return write
 
 
-def _scene(item: FitItem | EvaluateItem, references: References, background: Any, **options: Any) -> Scene:
+def _scene(item: FitItem | EvaluateItem, resolver: AssetResolver, background: Any, **options: Any) -> Scene:
     return load_scene(
-        references.path(item.scene),
+        resolver.path(item.scene),
         split=item.split,
         downscale=item.downscale,
         format=item.format,
         background=background,
         masks=item.masks,
-        cameras=None if item.cameras is None else references.path(item.cameras),
+        cameras=None if item.cameras is None else resolver.path(item.cameras),
         **options,
     )
 
@@ -325,8 +308,8 @@ class FitMaker:
     """Fits fields, and keeps the pictures of the last scene: to read them takes as long as a short fit.
     fingerprints: of what items read, by which a changed scene is known."""
 
-    def __init__(self, references: References, fingerprints: Fingerprints, device: wp.Device):
-        self.references, self.fingerprints, self.device, self.read_count = references, fingerprints, device, 0
+    def __init__(self, resolver: AssetResolver, fingerprints: Fingerprints, device: wp.Device):
+        self.resolver, self.fingerprints, self.device, self.read_count = resolver, fingerprints, device, 0
         self.scenes: LRUCache[Scene] = LRUCache(1)
 
     def make(self, item: FitItem, checkpoint: pathlib.Path | None = None) -> MadeItem:
@@ -349,16 +332,16 @@ class FitMaker:
         def load() -> Scene:
             self.read_count += 1
             orient = "up" if item.straighten else None
-            return _scene(item, self.references, item.background, orient=orient)
+            return _scene(item, self.resolver, item.background, orient=orient)
 
         return self.scenes.get(key, load)
 
 
-def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFields) -> MadeItem:
+def make_evaluation(item: EvaluateItem, resolver: AssetResolver, fields: LoadedFields) -> MadeItem:
     """Compare a field with pictures of a scene, as `warpcage evaluate` does; what is made writes the report."""
     key, field = fields.get(item.field, item.scene_scale)
     background = field.background if item.background is None else item.background
-    scene, given = in_world_of(field, _scene(item, references, background)), None
+    scene, given = in_world_of(field, _scene(item, resolver, background)), None
     if item.tune_cameras:
         if not isinstance(field, VoxelField):
             raise InputError(f"'tune_cameras' is for fields of voxels (.npz), {item.field!r} is of splats")
@@ -394,12 +377,12 @@ class Worker:
         encoders: int | None = None,  # threads that encode beside rendering; None is one a CPU thread, 16 at most
     ):
         self.out, self.device = pathlib.Path(out), resolve_device(device)
-        self.references = References(base)
+        self.resolver = AssetResolver(base, in_json=True)
         half = None if memory is None else memory // 2
-        self.fields = LoadedFields(self.references, self.device, half)
-        self.frames = FrameMaker(self.references, self.fields, half)
-        self._fingerprints = Fingerprints(self.references.base, self.out)
-        self.fits = FitMaker(self.references, self._fingerprints, self.device)
+        self.fields = LoadedFields(self.resolver, self.device, half)
+        self.frames = FrameMaker(self.resolver, self.fields, half)
+        self._fingerprints = Fingerprints(self.resolver.base, self.out)
+        self.fits = FitMaker(self.resolver, self._fingerprints, self.device)
         threads = min(TASK_THREADS, cpu_threads()) if encoders is None else encoders
         self._pool = ThreadPoolExecutor(threads, "warpcage-outputs")
         self._gate = Gate(threads + SPARE)
@@ -471,7 +454,7 @@ class Worker:
         if isinstance(item, FrameItem):
             return self.frames.make(item)
         if isinstance(item, EvaluateItem):
-            return make_evaluation(item, self.references, self.fields)
+            return make_evaluation(item, self.resolver, self.fields)
         raise InputError(f"a worker makes no {type(item).__name__}")
 
     def checkpoint_path(self, item: FitItem) -> pathlib.Path:

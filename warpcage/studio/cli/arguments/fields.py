@@ -12,9 +12,7 @@ from .options import (
     FRAME,
     FRAME_VALUE,
     MESHES,
-    MOTION_ENDINGS,
     SCALE_AND_DEVICE,
-    SELECTION_ENDINGS,
     VIEW,
     cages,
     command,
@@ -39,7 +37,7 @@ command(
 """,
     f"""
 field
--o SELECTION  selection to write ({" ".join(SELECTION_ENDINGS)}); cage, mesh, bake and edit take it by --selection
+-o SELECTION  selection to write (.npz, .json); cage, mesh, bake and edit take it by --selection
 --preview PICTURE  also write a picture with the selection tinted green (.png)
 click (selects what is connected to that place; repeat it for more):
 --point X Y Z  a place on the object, world units
@@ -116,7 +114,7 @@ command(
     f"""
 field
 -o MESH  mesh to write ({MESHES}; glTF with y up)
---frames N  number of frames, evenly from rest to the last pose ({" ".join(MOTION_ENDINGS)}; default: those of a film
+--frames N  number of frames, evenly from rest to the last pose (glTF and USD; default: those of a film
     whose keys have times, at its rate, else the last pose only)
 --threshold SIGMA  density at the surface, per world unit (default: chosen from the field)
 --components  which connected parts to keep (default: %(default)s)

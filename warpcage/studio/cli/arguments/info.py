@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .options import CAGES, FRAME, FRAME_VALUE, SCALE_AND_DEVICE, SPLATS_READ, add_rows, command
+from .options import FRAME, FRAME_VALUE, SCALE_AND_DEVICE, add_rows, command
 
 #: Most pictures on a contact sheet, and their longest side there.
 SHEET_PICTURES, SHEET_SIDE = 100, 160
@@ -22,10 +22,10 @@ command(
   warpcage info place --seen seen.png                        from where it was seen
 """,
     f"""
-field  field (.npz), splats ({" ".join(SPLATS_READ)}), cage ({CAGES}), poses, edits, cameras, places, a scene file
-    (.json) or a scene folder
+field  field (.npz), splats, cage, poses, edits, cameras, places, a scene file (.json) or a scene folder; without one:
+    this installation, and the formats of all these files
 --split  which pictures of a scene, such as train or test (default: %(default)s)
---format
+FitSceneSpec.format
 --sheet PICTURE  write a contact sheet of a scene's pictures, at most {SHEET_PICTURES} of them (.png)
 --box PICTURE  write a picture of a scene's cameras, points and object's box (.png)
 --seen PICTURE  write a map of what the cameras of a scene, or those refined by a field's fit, saw of the object (.png):

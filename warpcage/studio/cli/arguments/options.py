@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import collections
 import dataclasses
 import fractions
 import pathlib
@@ -11,126 +12,37 @@ import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ....coordinate_kinds import names_where
-from ....core.names import BACKGROUNDS, COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT
+from ....core.names import TRANSPARENT
+from ....core.spec import Option, Values, defaults_of, fraction, number, options_of, positive, whole
+from ....edits.spec import EditSpec
 from ....errors import InputError, MissingFileError, StateError
-
-#: Files of cages and meshes that hold motion too.
-MOTION_ENDINGS = (".glb", ".gltf", ".usd", ".usda", ".usdc")
-
-CAGE_ENDINGS = (".obj", ".ply", ".off", *MOTION_ENDINGS)
-
-MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", *MOTION_ENDINGS)
-
-SELECTION_ENDINGS = (".npz", ".json")
-
-#: Files of splats that are written: 3DGS' and SuperSplat's .ply, of web viewers, Niantic's, PlayCanvas', glTF and USD.
-SPLAT_ENDINGS = (".ply", ".compressed.ply", ".splat", ".spz", ".sog", ".glb", ".usd", ".usda", ".usdc", ".usdz")
-
-#: Those that are read. A folder of SOG has a meta.json.
-SPLATS_READ = (*SPLAT_ENDINGS, ".gltf", ".ksplat", "meta.json")
-
-#: What a film may show of its frames.
-PICTURE_KINDS = ("rgb", "alpha", "depth", "disparity", "masks")
+from ....package import renamed_line
+from ...spec.film import FilmSpec
+from ...spec.scene import FitSceneSpec, FitSpec
+from ...spec.shot import DEFORMATION, PICTURE
 
 #: Sides that pictures are taken from.
 VIEWS = ("corner", "front", "back", "left", "right", "top", "bottom")
 
-#: The lattice where --resolution is not given.
-BY_SIZE = "by size"
-
-
 # Values
 
 
-def whole_from(least: int) -> Callable[[str], int]:
-    """Takes whole numbers from `least` on."""
+def typed(values: Values) -> Callable[[str], Any]:
+    """Takes what an option of a spec takes."""
 
-    def whole(text: str) -> int:
+    def value(text: str) -> Any:
         try:
-            value = int(text)
-        except ValueError:
-            value = least - 1
-        if value < least:
-            raise argparse.ArgumentTypeError(f"must be a whole number of at least {least}, got {text!r}")
-        return value
+            return values.parse(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error).strip()) from None
 
-    return whole
-
-
-positive_int, whole_number = whole_from(1), whole_from(0)
-
-
-def positive_fraction(text: str) -> fractions.Fraction:
-    """A number above 0, or a ratio of two such as 2/3, exactly."""
-    try:
-        # the digits of 1e999999999 would take all memory: a float is bounded, and its text has few digits
-        value = fractions.Fraction(text if "/" in text else repr(float(text)))
-    except (ValueError, ZeroDivisionError):
-        value = fractions.Fraction(0)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"must be positive, a number or a ratio such as 2/3, got {text!r}")
     return value
 
 
-#: Moments that motion blur is the mean of, where their number is not given, and most of them.
-SUBFRAMES, MAX_SUBFRAMES = 8, 256
-
-
-def shutter(text: str) -> tuple[float, int]:
-    """The share of a frame that a shutter is open, of degrees above 0 to 360, and the number of moments in it."""
-    degrees, separator, number = text.partition(":")
-    try:
-        angle, count = float(degrees), int(number) if separator else SUBFRAMES
-    except ValueError:
-        angle, count = 0.0, 0
-    if not (0.0 < angle <= 360.0 and 1 <= count <= MAX_SUBFRAMES):
-        raise argparse.ArgumentTypeError(
-            f"must be degrees above 0 to 360, or with a number of moments up to {MAX_SUBFRAMES}, as in 180 or 180:16, "
-            f"got {text!r}"
-        )
-    return angle / 360.0, count
-
-
-def positive_ratio(text: str) -> float:
-    """The same as a float."""
-    try:
-        return float(positive_fraction(text))
-    except OverflowError:
-        raise argparse.ArgumentTypeError(f"must be a number that a float can hold, got {text!r}") from None
-
-
-def finite_float(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < float("inf"):
-        raise argparse.ArgumentTypeError(f"must be a finite number, got {text!r}")
-    return value
-
-
-def float_where(fits: Callable[[float], bool], wanted: str) -> Callable[[str], float]:
-    """Takes finite numbers in a range."""
-
-    def value_of(text: str) -> float:
-        value = finite_float(text)
-        if not fits(value):
-            raise argparse.ArgumentTypeError(f"must {wanted}, got {text!r}")
-        return value
-
-    return value_of
-
-
-positive_float = float_where(lambda value: value > 0, "be positive")
-length = float_where(lambda value: value >= 0, "be 0 or more")  # world units
-seconds = float_where(lambda value: value >= 0, "be 0 or more seconds")
-field_of_view = float_where(lambda value: 0 < value < 180, "lie between 0 and 180 degrees")
-
-
-def lattice_resolution(text: str) -> int | str | None:
-    """A whole number of at least 1, None for "precise", or BY_SIZE."""
-    return text if text == BY_SIZE else None if text == "precise" else positive_int(text)
+positive_int, whole_number = typed(whole(1)), typed(whole(0))
+positive_float, positive_fraction, finite_float = typed(positive()), typed(fraction()), typed(number())
+length = seconds = typed(number(0.0))
+field_of_view = typed(number(1e-6, 180.0 - 1e-6))  # degrees
 
 
 def color(text: str) -> str | tuple[float, ...]:
@@ -220,11 +132,11 @@ class _PictureSizes(argparse.Action):
 
 
 class OldName(argparse.Action):
-    """An option by its old name, which the next version does not know."""
+    """An option by its old name."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
         old, new = self.option_strings[0], self.dest.replace("_", "-")
-        warnings.warn(f"{old} is called --{new} now: the old name goes with the next version", stacklevel=2)
+        warnings.warn(renamed_line(old, f"--{new}"), stacklevel=2)
         setattr(namespace, self.dest, values)
 
 
@@ -240,6 +152,54 @@ class _FrameWord(argparse.Action):
             parser.error(f"argument {option_string}: takes rest, posed or a .json file, got {values!r}")
 
 
+class SpecFlag(NamedTuple):
+    """An option of a spec that is a flag."""
+
+    name: str
+    option: Option
+    default: Any
+
+    @property
+    def flag(self) -> str:
+        return str(self.option.flag).split()[0]
+
+    def row(self, default_help: str) -> str:
+        """Its row; default_help: what the default of a command does, empty for that of the spec."""
+        option = self.option._replace(default_help=default_help) if default_help else self.option
+        return f"{option.flag}  {option.full_help}"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Keyword arguments of `add_argument`."""
+        values, settings = self.option.values, {"dest": self.name, "default": self.default}
+        if values.schema.get("type") == "boolean":
+            action = argparse.BooleanOptionalAction if self.default is None else "store_true"
+            return settings | {"action": action, "default": None}  # a flag that was not given
+        return settings | ({"choices": values.choices} if values.choices else {"type": typed(values)})
+
+
+def _spec_flags(spec: type) -> dict[str, SpecFlag]:
+    return {
+        f"{spec.__name__}.{name}": SpecFlag(name, option, defaults_of(spec)[name])
+        for name, option in options_of(spec).items()
+        if option.flag
+    }
+
+
+#: The options of specs that are flags by spec and name, and by flag where one spec alone has it.
+SPEC_FLAGS = {
+    key: flag for spec in (EditSpec, FilmSpec, FitSceneSpec, FitSpec) for key, flag in _spec_flags(spec).items()
+}
+_USES = collections.Counter(flag.flag for flag in SPEC_FLAGS.values())
+SPEC_FLAGS |= {flag.flag: flag for flag in SPEC_FLAGS.values() if _USES[flag.flag] == 1}
+
+
+def flags_of(spec: type, group: str, *without: str) -> str:
+    """The rows of a group of a spec's options, but of some."""
+    flags = _spec_flags(spec).items()
+    return "\n".join(key for key, flag in flags if flag.option.group == group and flag.name not in without)
+
+
 #: What takes the values of options that stand for them so.
 TYPES = {
     "N": positive_int,
@@ -250,55 +210,38 @@ TYPES = {
     "COLOUR": color,
 }
 
-#: Endings and colours, as help texts have them.
-CAGES, MESHES, SPLATS = map(" ".join, (CAGE_ENDINGS, MESH_ENDINGS, SPLAT_ENDINGS))
-COLORS = f"{', '.join(BACKGROUNDS)}, or three numbers in [0, 1] such as 0.2,0.3,0.4"
+#: Files of cages, meshes and splats, as help texts have them: the formats themselves are known with NumPy alone.
+CAGES, MESHES, SPLATS = (
+    f"such as {endings}; `warpcage info` lists all" for endings in (".obj or .glb", ".obj or .stl", ".ply or .spz")
+)
 
 #: Options of several commands, which name them alone.
 SHARED = f"""
-field  field file: voxels (.npz) or splats ({" ".join(SPLATS_READ)}), or an output
-    folder of 3D Gaussian Splatting
---antialias  splats only: antialiasing of Mip-Splatting, for files trained with it; other files get too thin in the
-    distance by it (default: as the file says)
+field  field file: voxels (.npz) or splats ({SPLATS}), or an output folder of 3D Gaussian
+    Splatting
 --cage-object NAME  the object that is the cage in a file of several (OBJ, glTF); '*' takes all as one cage
 --device NAME  Warp device, "cpu" or "cuda:0" (default: CUDA where there is one)
---fill  fill background that an edit uncovers and no picture showed with a smooth continuation of its surroundings;
-    violet in masks (default: leave it as fitted)
 --floaters SHARE  leave out connected parts with fewer voxels than this share of the largest, e.g. 0.01
---format NAME  scene format (default: detected)
 --in-box X0 Y0 Z0 X1 Y1 Z1  what is in the box between two opposite corners, world units
---map  splats only. forward: move them by the coordinates of the cage at rest; backward: put them where voxels under the
-    same cage would go (default: forward)
 --masks SCENE  what is opaque, or white in the masks, in every training picture of a scene
 --parts N  only the N largest connected parts
 --posed-up  axis that points up in posed cage files (default: that of --cage-up; without it, guessed for each file)
 --quiet  no progress bar
---scene-scale FACTOR  undo a scaling: the factor by which the positions of a scene were multiplied before its field was
-    fitted, 2/3 for Plenoxels checkpoints of NeRF-synthetic scenes (default: 1)
 --selection FILE  only the object of a selection file (warpcage select writes one: .npz, .json)
 """
 
 #: How their values are taken, and those of options below, or of commands whose help differs.
 SHARED_VALUES: dict[str, Any] = {
-    "antialias": {"action": argparse.BooleanOptionalAction, "default": None},
     "as": {"dest": "representation", "choices": ("voxels", "splats")},
     "cage_up": ("y", "z"),
     "crumbs": {"dest": "fragments", "action": OldName, "type": positive_float},
-    "coordinates": {"choices": COORDINATES, "default": FIELD_COORDINATES},
-    "density": {"choices": DENSITIES, "default": "opacity"},
-    "downscale": 1,
     "add": {"action": "append"},
     "edit": {"action": "append"},
-    "fill": {"action": "store_true", "default": None},
-    "fragments": positive_float,
     "frame": {"action": _FrameWord},
     "fov": {"type": field_of_view, "default": 40.0},
-    "map": SPLAT_MAPS,
     "no_masks": {"dest": "masks", "action": "store_false", "default": True},
     "output": {"required": True},
     "posed_up": ("y", "z"),
-    "resolution": {"type": lattice_resolution, "default": BY_SIZE},
-    "scene_scale": {"type": positive_ratio, "default": 1.0},
     "size": {"action": _PictureSizes},
     "split_masks": {"dest": "masks", "action": "store_const", "const": "split"},
     "view": VIEWS,
@@ -324,12 +267,11 @@ options:
 --device
 """
 
-#: The background of pictures that may have none, and the files that a folder of them holds.
-CLEAR_BACKGROUND = f"""
---background COLOUR  {COLORS} (default: the field's own); {TRANSPARENT}: none, for file formats with an alpha channel
+#: How pictures are made, and the files that a folder of them holds.
+PICTURES = f"""
+{flags_of(FilmSpec, PICTURE, "show", "format")}
 --transparent  the same as --background {TRANSPARENT}
---format  file format in a folder of pictures: png (alpha not premultiplied), or exr (linear light, premultiplied alpha,
-    with depth) (default: png)
+FilmSpec.format
 """
 
 #: What is said of a file of --frame.
@@ -363,16 +305,15 @@ view (default: from above and to one side, with the whole object in the picture)
 #: The scene that a command reads, and which of its pictures.
 SCENE = """
 scene  folder with pictures and cameras
---split  which pictures of a scene, such as train or test (default: %(default)s)
---format
+--split
+FitSceneSpec.format
 one of:
 --no-masks  ignore the mask files of a scene: whole pictures are used, with their background
 --split-masks  split pictures by the masks, into the object and its surroundings, which become layers behind it
 --weight-masks  ignore pixels that are black in the masks, such as passers-by, and use all others
 options:
---downscale N  shrink the pictures by averaging N x N pixels (default: %(default)s)
---cameras FILE  camera file (.json) with a camera for each picture, by its name, instead of those of the scene; `fit
-    --refine-cameras` writes one
+--downscale
+--cameras
 --model NAME  which of several models in a scene, such as "1" (default: the one with most pictures)
 """
 
@@ -382,17 +323,10 @@ FOLLOWING = """. Several, or all keyframes of a pose file (poses.json), follow o
     (walk.glb), numbered files (walk_####.obj) or their folder give one pose a frame"""
 
 
-def deformation(
-    posed: str = "POSED", several: str = "", resolution: str = "by the picture's size, a cell for 5 pixels, 64 to 128"
-) -> str:
-    """The cages of a deformation and how it is computed; resolution: the usual lattice; others as of `cages`."""
-    return f"""{cages(posed, several)}\
---resolution N  lattice cells along the longest side of the cage, or "precise" to evaluate the coordinates at every
-    sample ({" and ".join(names_where("is_precise"))} only) (default: {resolution})
---density  what parts keep when they are scaled. opacity: their opacity; paper: their density, as in the paper
-    (Deforming Radiance Fields with Cages) (default: %(default)s)
---map
-"""
+def deformation(posed: str = "POSED", several: str = "", resolution: str = "") -> str:
+    """The cages of a deformation and how it is computed; resolution: what its default is; others as of `cages`."""
+    flags = flags_of(FilmSpec, DEFORMATION, "coordinates").replace("resolution", f"resolution {resolution}")
+    return cages(posed, several) + flags
 
 
 def cages(posed: str = "POSED", several: str = "") -> str:
@@ -405,15 +339,13 @@ deformation (--cage and --posed, or --edit, or --edits; without them the field i
 --edit CAGE:POSED[:keep]  one of several edits; repeat it for the next, which acts on the result of those before it.
     POSED as for --posed. CAGE:POSED:keep leaves a copy in place, CAGE:remove deletes what is in the cage,
     CAGE:POSED:falloff=WIDTH has a --falloff of its own
---falloff WIDTH  hold the sides of a cage that cut through the object, and fade the edit out in a band of this width
-    inside them, world units, so that a part does not tear off (default: no side is held)
---fragments SIZE  take loose pieces that a cage cuts off along with its part, up to this size, world units (default:
-    they stay)
+--falloff
+--fragments
 --crumbs SIZE  {argparse.SUPPRESS}
 --edits FILE  edits file (warpcage edits writes one), or a session of the editor (.session.json)
 {CAGE_UP_FOUND}
 --posed-up
---coordinates  kind of cage coordinates (default: %(default)s)
+--coordinates
 """
 
 
@@ -440,12 +372,16 @@ def add_rows(parser: argparse.ArgumentParser, *texts: str, **values: Any) -> Non
             else:
                 group = parser if title == "options" else parser.add_argument_group(title)
             continue
-        flag, help = (row if "  " in row else _SHARED_ROWS[row]).split("  ", 1)
+        key, _, default_help = row.partition(" ")
+        spec = SPEC_FLAGS.get(key) if "  " not in row and key not in _SHARED_ROWS else None
+        row = spec.row(default_help.strip()) if spec is not None else row if "  " in row else _SHARED_ROWS[row]
+        flag, help = row.split("  ", 1)
         help = argparse.SUPPRESS if help == argparse.SUPPRESS else help  # which argparse knows by its identity
         name, *metavars = flag.split()
         key = "output" if name == "-o" else name.lstrip("-").replace("-", "_")
         names = ("-o", "--output") if name == "-o" else (name,)
-        group.add_argument(*names, help=help, **_settings(left.pop(key, SHARED_VALUES.get(key, {})), metavars, name))
+        usual = SHARED_VALUES.get(key, {}) if spec is None else spec.settings
+        group.add_argument(*names, help=help, **_settings(left.pop(key, usual), metavars, name))
     if left:
         raise StateError(f"no row has {', '.join(left)}")
 

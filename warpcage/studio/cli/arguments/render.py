@@ -3,22 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from fractions import Fraction
 from typing import Any
 
-from ....core.names import LOOPS, MOVE_HELP
-from .options import (
-    CLEAR_BACKGROUND,
-    FOLLOWING,
-    PICTURE_KINDS,
-    SCALE_AND_DEVICE,
-    SUBFRAMES,
-    VIEW,
-    command,
-    deformation,
-    objects,
-    shutter,
-)
+from ....core.names import MOVE_HELP
+from ....core.spec import defaults_of
+from ...spec.film import TIME, FilmSpec
+from .options import FOLLOWING, PICTURES, SCALE_AND_DEVICE, VIEW, command, deformation, flags_of, objects
 
 #: Pictures of --cameras interpolate from each camera to the next where --frames is not given.
 STEPS = 8
@@ -54,21 +44,24 @@ options:
 --alpha PICTURE  also write the opacity (.png)
 --masks PICTURE  also write what is turned inside out (red), background that was uncovered (blue) and places where the
     posed cage shows nothing (yellow) (.png), and print how much there is of each
---overlay  draw the cage into the picture
-{CLEAR_BACKGROUND}
---fill
---antialias
+{PICTURES}
 """,
     deformation("POSED...", ". Several, or all keyframes of a pose file, make a picture each, in a folder"),
     objects("--save-stage FILE  also write a scene file of all objects (.stage.json)"),
     VIEW,
     SCALE_AND_DEVICE,
     cameras=("interpolate", "given"),
-    format=("png", "exr"),
 )
 
 #: What a session decides by itself, of the options that have a default.
-OF_SESSIONS = ("frames", "fps", "motion", "interpolation", "show", "coordinates", "resolution", "density", "fov")
+OF_SESSIONS = (
+    "fov",
+    *(
+        name
+        for name, default in defaults_of(FilmSpec).items()
+        if default not in (None, False) and name != "scene_scale"
+    ),
+)
 
 
 class Default:
@@ -127,34 +120,19 @@ one of these:
 options:
 --workers N  processes that render, one a GPU, or with a share of the CPU cores each where there is none (default: this
     one)
---frames N  number of frames (default: %(default)s)
---fps RATE  frames per second, such as 24, 12.5, 29.97 or 30000/1001, which is the same (default: %(default)s)
---motion  swing: to the last pose and back; once: to the last pose; hold: posed throughout (default: %(default)s)
---loop  what a film of keys at times does at its end: once, with its first and its last moment, so that 2 s at 24 a
-    second are 49 frames; loop: begin again; ping-pong: go back to its beginning
-    (default: what the pose file says, or once)
---interpolation  linear: straight from pose to pose at constant speed; smooth: through the poses without a stop, slow at
-    both ends (default: %(default)s)
---overwrite  replace the frames of another film that are in the folder
+{flags_of(FilmSpec, TIME)}
 a session of the editor:
 --session FILE  session file (.session.json): its object, edits, keys, camera and settings make the film
 camera path:
---turn DEGREES  how far the camera turns around the target; 0 keeps it still (default: 0 where the poses have times;
-    otherwise 360, or there and back within what the cameras of the fitted pictures saw, where these are known)
+--turn
 --full-turn  all the way around, also where no picture was taken: --turn 360
 --cameras MOVE|FILE|SCENE[:SPLIT]  move the camera instead by {MOVE_HELP};
     or move through the cameras of a file (.json, .glb, .gltf; at their times where they have some), or of a scene's
     pictures, e.g. data/lego:test (default split: train)
---shutter DEGREES[:N]  motion blur: how long the shutter is open, of 360 degrees a frame (180 is usual), by averaging N
-    moments in linear light (default: {SUBFRAMES})
+--shutter
 options:
---show  rgb; alpha; depth (near is white) or disparity, on one scale for the whole film; masks: what is turned inside
-    out, background that was uncovered and places where a posed cage shows nothing, and print how much (default:
-    %(default)s)
---overlay  draw the cage into the pictures
-{CLEAR_BACKGROUND}
---fill
---antialias
+--show
+{PICTURES}
 """,
     deformation("POSED...", FOLLOWING),
     objects(),
@@ -163,14 +141,5 @@ options:
     "--quiet",
     more=_leave_to_sessions,
     output={},
-    frames=48,
-    fps=Fraction(24),
-    motion={"choices": ("swing", "once", "hold"), "default": "swing"},
-    loop=LOOPS,
-    interpolation={"choices": ("smooth", "linear"), "default": "smooth"},
-    overwrite={"action": "store_true", "default": None},
     full_turn={"dest": "turn", "action": "store_const", "const": 360.0},
-    shutter=shutter,
-    show={"choices": PICTURE_KINDS, "default": "rgb"},
-    format=("png", "exr"),
 )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from ....core.names import COORDINATES, FIELD_COORDINATES, TRANSPARENT
-from .options import CAGE_UP_FOUND, CAGES, COLORS, SCALE_AND_DEVICE, command, positive_float, whole_number
+from ...spec.film import FilmSpec
+from ...spec.shot import COLORS, DEFORMATION, PICTURE
+from .options import CAGE_UP_FOUND, CAGES, SCALE_AND_DEVICE, command, flags_of, positive_float, whole_number
 
 #: What stands behind pictures where --background is not given: of PNG files, and of JPEG files, which have no opacity.
 DEFAULT_BACKGROUNDS = {"png": TRANSPARENT, "jpg": "white"}
@@ -21,7 +23,7 @@ command(
     """\
   warpcage sweep lego.npz --cage cage.obj --poses random:100 --cameras orbit:8 -o sweep.jsonl
   warpcage sweep lego.npz --cage cage.obj --poses random:5000 --cameras random:4 --size 800 \\
-      --records webdataset --image jpg -o augmented.jsonl
+      --image jpg -o augmented.jsonl
   warpcage sweep lego.npz --cage cage.obj --poses rest poses.json twist:60 --cameras data/lego:test \\
       --coordinates mean_value harmonic green -o compared.jsonl
   warpcage run sweep.jsonl -o dataset --workers 2
@@ -40,8 +42,7 @@ poses:
 --modes MODE...  what random poses are made of: {", ".join(MODES)} (default: all)
 --write-poses  make the random poses now and write them beside the job file, about 30 ms each; orbit and random cameras
     then frame every pose whole (default: each worker makes the poses that it renders)
---falloff WIDTH  for a cage around a part: hold the sides that cut through the object, and fade poses out in a band of
-    this width inside them, world units (default: no side is held)
+--falloff
 {CAGE_UP_FOUND}
 --posed-up
 cameras:
@@ -54,15 +55,13 @@ cameras:
 pictures:
 --coordinates KIND...  kinds of cage coordinates; all pictures are rendered with each: {", ".join(COORDINATES)}
     (default: {FIELD_COORDINATES})
---resolution N  lattice cells along the longest side of the cage, or "precise" (default: by the size of the picture)
---density  what parts keep when they are scaled, as for render (default: %(default)s)
---map
---antialias
+{flags_of(FilmSpec, DEFORMATION, "coordinates")}
+{flags_of(FilmSpec, PICTURE, "background", "fill", "overlay", "show", "format")}
 --background COLOUR  {COLORS} (default: {TRANSPARENT}; of JPEG files white); {TRANSPARENT}: opacity in the picture;
     {OWN}: what the field has behind it
---supersampling N  rays along each side of a pixel (default: that of the field)
 records (docs/sweeps.md):
---records  folder: files, with transforms.json for each pose and for all; webdataset: tar shards (default: %(default)s)
+--records  folder: files, with transforms.json for each pose and for all; webdataset: tar shards (deprecated, see
+    docs/sweeps.md) (default: %(default)s)
 --image  file format of pictures (default: %(default)s)
 --items-per-shard N  pictures in a shard (default: 1000)
 --no-depth  write no depth

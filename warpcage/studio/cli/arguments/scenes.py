@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from ....core.names import QUALITIES
-from .options import COLORS, FRAME, FRAME_VALUE, SCALE_AND_DEVICE, SCENE, SPLATS, command, positive_float
+from ...spec.scene import FIT, SPLAT_FIT, FitSpec
+from ...spec.shot import COLORS
+from .options import FRAME, FRAME_VALUE, SCALE_AND_DEVICE, SCENE, SPLATS, command, flags_of, positive_float
 
 command(
     "capture",
@@ -60,38 +61,28 @@ command(
     random (random colours, for pictures with opacity), outer (voxels before and behind the object's box, to infinity),
     layers (of pictures behind it), constant, or auto: random for pictures with opacity, outer for whole ones (default:
     auto)
---straighten  rotate the scene so that up in its pictures is +z; the field file keeps this rotation, so that the scene's
-    cameras still match it
---quality  detail, at the cost of time: fast takes about half as long; high 3 to 9 times as long, with up to twice the
-    memory, for about 1 dB where cameras are exact and views many, and for little elsewhere (default: %(default)s)
+--straighten
+--quality
 --checkpoint FILE  save the progress to this file (.npz), and continue from it if it exists
 --checkpoint-seconds N  time between two checkpoints (default: %(default)s)
 --preview PICTURE  write this picture (.png) again every 20 seconds: a picture of the scene beside the field so far; at
     first, for voxels, the cameras, points and box of the object
---resolution N  voxels along the longest side (default: follows the size of a pixel at the object)
---max-memory SIZE  device memory that the fit may take, pictures included, such as 4GB or 800MiB. If it is short,
-    pictures are kept at 8 bits per channel, and voxels stay larger (default: most of what is free)
---epochs N  passes over the pixels that see the object (default: depends on --quality)
---steps N  splats only: training steps, one picture each
---most-splats N  splats only: most of them at the end
---variation FACTOR  weight of total variation: higher is smoother (default: chosen from the pictures, at least 30 for
-    density and 15 for colours with masks or surroundings)
+FitSpec.resolution
+{flags_of(FitSpec, FIT, "quality", "seed")}
+FitSpec.epochs
+FitSpec.variation
+{flags_of(FitSpec, SPLAT_FIT)}
 --bounds X0 Y0 Z0 X1 Y1 Z1  box around the object, world units (default: found from the pictures)
 one of:
 --refine-cameras  refine poses, focal lengths and the exposure of each picture with the field, for cameras that are not
     exact; the refined ones are written beside it (.cameras.json)
 --check-cameras  find out during the fit whether cameras are off, and refine them only then; one line says which
 options:
---seed  random seed (default: %(default)s)
+--seed
 --device
 --quiet
 """,
-    split="train",
-    quality={"choices": QUALITIES, "default": "standard"},
     checkpoint_seconds={"type": positive_float, "default": 60.0},
-    resolution={},
-    epochs=positive_float,
-    seed={"type": int, "default": 0},
 )
 
 command(

@@ -29,7 +29,8 @@ from ...films.document import (
     key_json,
     selection_json,
 )
-from ..pictures.scene import Fields
+from ...films.session.scene import Fields
+from ...spec.settings import Settings
 
 #: Steps that can be undone.
 DEPTH = 500
@@ -202,7 +203,7 @@ class _Pool:
             "edits": [self._number(edit, lambda one: edit_json(one, self._array)) for edit in document.edits],
             "objects": [self._number(one, dataclasses.asdict) for one in document.objects],
             "selection": self._number(document.selection, selection_json),
-            "settings": self._number(document.settings, dataclasses.asdict),
+            "settings": self._number(document.settings, Settings.to_json),
             "view": self._number(document.view, dataclasses.asdict),
             "timeline": self._number(document.timeline, self._film),
             "time": document.time,

@@ -15,7 +15,7 @@ from aiohttp import WSCloseCode, web
 
 from ....core.checks import checked_whole
 from ....errors import InputError
-from ...films.document import Background, checked_background
+from ...spec.settings import Background, checked_background
 
 #: Frames that may be on their way to a page.
 FRAMES_UNDER_WAY = 2

@@ -7,7 +7,7 @@ import contextlib
 import logging
 from collections.abc import Callable
 
-from .. import timeline
+from ...films.session import timeline
 from ..session import Session
 
 _log = logging.getLogger(__name__)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import itertools
 import os
 import pathlib
 import re
@@ -15,17 +17,10 @@ from typing import IO, Any
 
 from ....core.files import file_errors
 from ....errors import InputError
-from ....mesh.io import ENDINGS
-from ....splats.io import SPLAT_ENDINGS
+from ....mesh.io.formats import mesh_endings
+from ....render.surface_file import SURFACE_ENDINGS
+from ....splats.io.formats import endings_read
 from ...films.session_file import ENDING
-
-#: Endings of files that pages may load, and what is in them.
-LOADABLE = {
-    ".npz": "field",
-    **{pathlib.Path(f"x{ending}").suffix: "field" for ending in SPLAT_ENDINGS if ending},
-    **dict.fromkeys(ENDINGS, "cage"),
-    ".json": "poses",
-}
 
 #: Bytes of an uploaded file's name.
 MAX_NAME_BYTES = 120
@@ -33,6 +28,14 @@ MAX_NAME_BYTES = 120
 #: How the hidden names of an editor's uploads and of its folders of exports begin, and how that of its lock ends.
 MARK = re.compile(r"(\.warpcage-upload-[0-9a-f]{16}-)(?:export-\w+[/\\])?")
 LOCK = "lock"
+
+
+@functools.cache
+def loadable() -> dict[str, tuple[str, ...]]:
+    """Endings of files that pages may load, by what is in them; those of cages may hold objects of the scene too."""
+    cages = tuple(dict.fromkeys(mesh_endings()))
+    splats = (pathlib.Path(ending).suffix or ending for ending in endings_read() if ending.startswith("."))
+    return {"cage": cages, "object": tuple(dict.fromkeys((".npz", *splats, *SURFACE_ENDINGS))), "poses": (".json",)}
 
 
 class Uploads:
@@ -54,8 +57,9 @@ class Uploads:
         """Keep what a page has sent, hidden; returns the name that it gets in the folder, where it replaces none."""
         plain = re.sub(r"[^\w.\- ]", "_", pathlib.PurePosixPath(name.replace("\\", "/")).name).lstrip(". ")
         stem, ending = os.path.splitext(plain)
-        if ending.lower() not in LOADABLE or plain.lower().endswith(ENDING):
-            raise InputError(f"{plain[:100]!r} is not a cage, pose or scene file; takes {' '.join(LOADABLE)}")
+        known = dict.fromkeys(itertools.chain(*loadable().values()))
+        if ending.lower() not in known or plain.lower().endswith(ENDING):
+            raise InputError(f"{plain[:100]!r} is not a cage, pose or scene file; takes {' '.join(known)}")
         stem = stem.encode()[:MAX_NAME_BYTES].decode(errors="ignore")
         with self._naming:  # two pages may send files of one name
             kept = self._free_name(stem + ending)

@@ -29,19 +29,8 @@ from ..manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes, OutputFolde
 from ..webdataset import pack_shard, shard_size, shard_stage
 
 #: What the same input brings again: there is no use in trying it once more.
-BAD_INPUT = (
-    ValueError,
-    TypeError,
-    LookupError,
-    ArithmeticError,
-    AttributeError,
-    AssertionError,
-    ImportError,
-    FileNotFoundError,
-    IsADirectoryError,
-    NotADirectoryError,
-)
-
+BAD_INPUT = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, AssertionError, ImportError)
+BAD_INPUT += (FileNotFoundError, IsADirectoryError, NotADirectoryError)
 
 #: Chunks of a worker: one of which it makes items, the others while their last files are being written.
 MAX_CHUNKS = 2
@@ -147,7 +136,7 @@ class ChunkRunner:
         self._chunks: dict[int, ChunkUnderWay] = {}
         self._newest_made = 0  # number of the newest chunk whose items are all begun
         self._stopped = False
-        self.report, self._settled_at = ChunkReport(), 0.0  # of the newest chunk so far
+        self._settled_at = 0.0  # when the newest item was
         self._group: str | None = None
         self.held = contextlib.ExitStack()  # open as long as this may write; `close` closes it
 
@@ -159,7 +148,6 @@ class ChunkRunner:
         """Make the items of a chunk, or pack its shard; files may be written until `settle` has it."""
         chunk = ChunkUnderWay(order)
         with self._making:
-            self.report = chunk.report
             with self._lock:
                 self._chunks[order.number] = chunk
             try:
@@ -225,18 +213,16 @@ class ChunkRunner:
         order, report = chunk.order, chunk.report
         if order.packed is not None:
             self._pack(order, report)
-            return
         begin = time.perf_counter()
-        while report.halt is None and report.broken is None and (place := self._next(chunk)) is not None:
-            if place and order.seconds is not None and time.perf_counter() - begin > order.seconds:
+        while report.halt is None and report.broken is None:
+            with self._lock:
+                place = chunk.waiting.popleft() if chunk.waiting and not self._stopped else None
+            late = place and order.seconds is not None and time.perf_counter() - begin > order.seconds
+            if place is None or late:
                 return
             self._begin(chunk, place)
             while chunk.line and chunk.line[0].future.done():
                 self._settle(chunk, chunk.line[0])
-
-    def _next(self, chunk: ChunkUnderWay) -> int | None:
-        with self._lock:
-            return chunk.waiting.popleft() if chunk.waiting and not self._stopped else None
 
     def _begin(self, chunk: ChunkUnderWay, place: int) -> None:
         """Make an item as far as this thread does it."""
@@ -249,7 +235,9 @@ class ChunkRunner:
         chunk.making = made
         try:
             made.inputs = self._fingerprint(item)
-            made.future = self._maker.submit(item, self._stage(order))
+            # items of a shard stand in a folder of their own until it is packed
+            stage = None if order.shard is None or self._out is None else shard_stage(self._out, order.shard)
+            made.future = self._maker.submit(item, stage)
         except Exception as error:
             made.future.set_exception(error)
         self._group = item.group
@@ -317,17 +305,13 @@ class ChunkRunner:
             return False
         return True
 
-    def _stage(self, order: Chunk) -> pathlib.Path | None:
-        """Where the items of a shard stand until it is packed; None: in the folder of the run."""
-        return None if order.shard is None or self._out is None else shard_stage(self._out, order.shard)
-
     def _pack(self, order: Chunk, report: ChunkReport) -> None:
         assert self._out is not None and order.shard is not None and order.packed is not None
         try:
             pack_shard(self._out, order.shard, [{"outputs": outputs} for outputs in order.packed])
         except Exception as error:
             if leaves_no_room(error):
-                report.halt = error_line(error, named=True)
+                self._halt(report, error)
             else:
                 report.pack_error = error_line(error, named=True)
 

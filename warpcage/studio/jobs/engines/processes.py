@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import itertools
 import logging
 import os
-import pickle
 import queue
 import signal
 import socket
 import threading
 import time
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import warp as wp
 
 from ....core.devices import start_warp
-from ....core.names import error_line
+from ....core.names import error_line, extra_line
 from ....core.threads import cpu_threads
 from ....errors import InputError, MissingPackageError, StateError
-from .chunk_runner import MAX_CALLS, MAX_CHUNKS, Chunk, ChunkRunner, RunnerSettings, make_runner
-from .serving import Started, early_environment, gpu_of, message, taken_early
+from .chunk_runner import MAX_CALLS, MAX_CHUNKS, ChunkUnderWay, RunnerSettings, make_runner
+from .serving import LocalProcess, process_of
 
 
 class ChunkActor:
@@ -40,103 +38,6 @@ class ChunkActor:
         return getattr(self._runner, method)(*given)
 
 
-class WorkerDied(RuntimeError):
-    """Why a process here answers no more: one line."""
-
-
-class LocalProcess:
-    """A process of this machine, which ends with the process that started it. Calls and answers go through pipes."""
-
-    def __init__(self, started: Started):
-        self._started, self._process, self._stderr = started, started.process, started.stderr
-        self._lock, self._numbers, self._ended = threading.Lock(), itertools.count(), ""
-        self._waiting: dict[int, Future[Any]] = {}
-        self._asked: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        for work in (self._send, self._receive):  # a process that hangs reads nothing: no other thread waits for it
-            threading.Thread(target=work, name="warpcage-process", daemon=True).start()
-
-    def begin(self, settings: RunnerSettings) -> None:
-        """Send the settings, once."""
-        self._asked.put(pickle.dumps(settings))
-
-    def ask(self, method: str, *given: Any) -> Future[Any]:
-        """Call a method of the worker's runner; the answer comes later."""
-        future: Future[Any] = Future()
-        with self._lock:
-            number, ended = next(self._numbers), self._ended
-            if not ended:
-                self._waiting[number] = future
-        if ended:
-            future.set_exception(WorkerDied(ended))
-        else:
-            self._asked.put(pickle.dumps((number, method, given)))
-        return future
-
-    def kill(self) -> None:
-        """End the process, wherever it is at."""
-        self._process.kill()
-
-    def wait(self) -> None:
-        """Wait until a process that was killed is gone."""
-        self._started.end()
-
-    def _send(self) -> None:
-        """Send calls, in a thread."""
-        assert self._process.stdin is not None
-        with contextlib.suppress(OSError), self._process.stdin as pipe:
-            while (message := self._asked.get()) is not None:
-                pipe.write(len(message).to_bytes(8, "little") + message)
-                pipe.flush()
-
-    def _receive(self) -> None:
-        """Receive answers, in a thread, until the process ends."""
-        assert self._process.stdout is not None
-        with self._process.stdout as pipe, self._stderr:
-            while (answer := message(pipe)) is not None:
-                number, error, found = pickle.loads(answer)
-                future = self._waiting.pop(number)
-                if error is None:
-                    future.set_result(found)
-                else:
-                    future.set_exception(WorkerDied(error))
-            line = self._last_line(self._process.wait())
-        with self._lock:
-            self._ended = line
-        self._asked.put(None)
-        for future in self._waiting.values():
-            future.set_exception(WorkerDied(line))
-
-    def _last_line(self, status: int) -> str:
-        """Why the process ended; status: negative is a signal."""
-        if status < 0:
-            return "its worker died: killed, or a crash of the process"
-        self._stderr.seek(0)
-        lines = self._stderr.read().decode(errors="replace").split("\n")
-        said = next((line.strip() for line in reversed(lines) if line.strip()), "")
-        return f"its worker died: exit status {status}{': ' if said else ''}{said}"
-
-
-@contextlib.contextmanager
-def processes_beforehand(
-    workers: int, count: int, device: str | None, loads: bool
-) -> Iterator[Mapping[str, LocalProcess]]:
-    """Processes of the first `count` of so many workers, by their names; none is left at the end.
-    They are those of `early_processes` where there are some. loads: as `Started` has it."""
-    processes: dict[str, LocalProcess] = {}
-    try:
-        for number in range(count):
-            started = taken_early(workers, number, device) if loads else None
-            if started is None:
-                started = Started(early_environment(workers, number, device), loads, device)
-            processes[str(number)] = LocalProcess(started)
-        yield processes
-    finally:
-        for process in processes.values():
-            process.kill()
-        for process in processes.values():
-            process.wait()
-
-
 @dataclasses.dataclass(frozen=True)
 class Share:
     """What each worker gets of a machine."""
@@ -148,20 +49,82 @@ class Share:
     device: str | None
 
 
-class LocalHost:
-    """Starts workers on this machine: one a GPU, else with equal parts of the cores; one alone has what there is.
-    early: processes that were started for them beforehand, by the names of workers."""
+class Host:
+    """What starts workers; share: of each."""
 
+    share: Share
     patience, no_place = 120.0, ""  # seconds within which the first worker must have started, and why it has not
 
-    def __init__(
-        self,
-        workers: int,
-        device: str | None,
-        gpus: Callable[[], int] | None = None,
-        early: Mapping[str, LocalProcess] = types.MappingProxyType({}),
-    ):
-        self._early = dict(early)
+    def work(self) -> None:
+        """Called before answers are waited for."""
+
+    def death_line(self, error: BaseException) -> str:
+        """Why a worker gives no answer but an error: one line."""
+        return str(error)
+
+
+SLOW = 0.5  # seconds of an item; then a chunk is settled before the next, as this thread reports it only after that
+
+
+class ThisProcess(Host):
+    """This process as the only worker: the thread that waits for answers makes items, others wait for their files."""
+
+    def __init__(self, device: str | None):
+        self.share = Share(1, 0, 0, 0, device)
+        self._runner: Any = None
+        self._settling = ThreadPoolExecutor(MAX_CHUNKS, "warpcage-settling")
+        self._calls: dict[str, tuple[Any, Future[Any]]] = {}
+
+    def start(self, settings: RunnerSettings) -> ThisProcess:
+        if self._runner is not None:  # a device that is lost stays so in this process
+            raise StateError("the device works no more in this process: run again, what is made is kept")
+        self._runner = make_runner(settings)
+        return self
+
+    def ask(self, method: str, *given: Any) -> Future[Any]:
+        """Call a method of the runner; chunks are made by `work`."""
+        future: Future[Any] = Future()
+        if method in ("run", "begun"):
+            self._calls[method] = given[0], future
+        else:
+            future.set_result(getattr(self._runner, method)(*given))
+        return future
+
+    def work(self) -> None:
+        if "run" in self._calls:
+            (order, made), (_, begun) = self._calls.pop("run"), self._calls.pop("begun")
+            start = time.monotonic()
+            chunk = self._runner.begin(order)
+            if time.monotonic() - start > SLOW * len(order.items):
+                self._settle(chunk, made)
+            else:
+                begun.set_result(None)
+                self._settling.submit(self._settle, chunk, made)
+
+    def _settle(self, chunk: ChunkUnderWay, made: Future[Any]) -> None:
+        try:
+            made.set_result(self._runner.settle(chunk))
+        except BaseException as error:
+            made.set_exception(error)
+
+    def death_line(self, error: BaseException) -> str:
+        raise error
+
+    def kill(self) -> None:
+        """The worker is this process."""
+
+    def wait(self) -> None:
+        """Wait for files that are being written, and close the notes of the worker."""
+        self._settling.shutdown()
+        if self._runner is not None:
+            self._runner.close()
+
+
+class LocalHost(Host):
+    """Starts workers on this machine: one a GPU, else with equal parts of the cores; one alone has what there is."""
+
+    def __init__(self, workers: int, device: str | None, gpus: Callable[[], int] | None = None):
+        self._device = device
         if workers == 1:
             self.share = Share(1, 0, 0, 0, device)
             return
@@ -175,15 +138,9 @@ class LocalHost:
         self.share = Share(workers, min(count, 1), 0, threads, "cuda:0" if count else "cpu")
 
     def start(self, settings: RunnerSettings) -> LocalProcess:
-        process = self._early.pop(settings.worker, None)
-        if process is None:
-            process = LocalProcess(Started(gpu_of(int(settings.worker)) if self.share.gpus else {}))
-        process.begin(settings)
+        process = process_of(self.share.workers, int(settings.worker), self._device)
+        process.send(settings)
         return process
-
-    def death_line(self, error: BaseException) -> str:
-        """Why a worker gives no answer but an error: the line of its process."""
-        return str(error)
 
 
 def require_shared(device: str | None) -> None:
@@ -207,7 +164,7 @@ def load_ray() -> types.ModuleType:
     try:
         import ray
     except ImportError:
-        raise MissingPackageError("--cluster needs Ray: pip install 'warpcage[cluster]'") from None
+        raise MissingPackageError(f"--cluster needs Ray: {extra_line('cluster')}") from None
     return ray
 
 
@@ -264,26 +221,27 @@ def _signals_kept() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+@dataclasses.dataclass(eq=False)
 class RayProcess:
     """A process that Ray has started somewhere."""
 
-    def __init__(self, ray: types.ModuleType, actor: Any):
-        self._ray, self._actor = ray, actor
+    ray: types.ModuleType
+    actor: Any
 
     def ask(self, method: str, *given: Any) -> Future[Any]:
         """Call a method of the worker's runner; the answer comes later."""
-        return self._actor.call.remote((method, *given)).future()
+        return self.actor.call.remote((method, *given)).future()
 
     def kill(self) -> None:
         """End the process, whose node may merely not answer."""
         with contextlib.suppress(Exception):
-            self._ray.kill(self._actor)
+            self.ray.kill(self.actor)
 
     def wait(self) -> None:
         """Ray does not say."""
 
 
-class RayHost:
+class RayHost(Host):
     """Starts workers on a cluster: one a GPU, else with the cores in equal parts.
     workers: None is all GPUs, or one a machine where there are none; there may be more machines later."""
 
@@ -303,8 +261,7 @@ class RayHost:
             while each > 1 and sum(count // each for count in cores) < workers:  # so that none waits for a place
                 each -= 1
             self.share = Share(workers, 0, each, each, "cpu")
-        need = f"{self.share.gpus} GPUs and {self.share.cpus:g} CPUs"
-        self.no_place = f": Ray has no place for one with {need}"
+        self.no_place = f": Ray has no place for one with {self.share.gpus} GPUs and {self.share.cpus:g} CPUs"
         self._ray = ray
         self._actor = ray.remote(ChunkActor).options(
             num_gpus=self.share.gpus,
@@ -318,7 +275,7 @@ class RayHost:
         return RayProcess(self._ray, self._actor.remote(settings))
 
     def death_line(self, error: BaseException) -> str:
-        """Why a worker gives no answer but an error: one line instead of Ray's paragraphs."""
+        # one line instead of Ray's paragraphs
         cause = getattr(error, "cause", None)  # of an error in the actor itself
         if isinstance(cause, BaseException):
             return f"its worker failed: {error_line(cause, named=True)}"
@@ -337,7 +294,7 @@ class RayHost:
 MAX_OVERLAPPING = 64
 
 
-Process = LocalProcess | RayProcess
+Process = LocalProcess | RayProcess | ThisProcess
 
 
 class Answer(NamedTuple):
@@ -353,14 +310,13 @@ class Answer(NamedTuple):
 class ProcessEngine:
     """Runs chunks in processes that a host starts; settings: of every worker, its name and notes are filled in."""
 
-    def __init__(self, host: LocalHost | RayHost, settings: RunnerSettings):
+    def __init__(self, host: ThisProcess | LocalHost | RayHost, settings: RunnerSettings):
         self._host = host
         self.settings = dataclasses.replace(settings, device=host.share.device, threads=host.share.threads)
         self.overlapping = host.share.workers <= MAX_OVERLAPPING
         self._answers: queue.SimpleQueue[tuple[str, Process, str, int, Future[Any]]] = queue.SimpleQueue()
         self._processes: dict[str, Process] = {}
-        self.places: dict[str, dict[str, Any]] = {}  # pid and host of each that has started
-        self._ready: set[str] = set()
+        self.places: dict[str, dict[str, Any]] = {}  # pid and host of each that is ready
         self._alone_since = self.now()  # since when no worker is ready, where none is
 
     def now(self) -> float:
@@ -384,10 +340,9 @@ class ProcessEngine:
 
     def cancel(self, worker: str) -> None:
         """End the process of a worker, wherever it is at; later answers of it are ignored."""
-        self._ready.discard(worker)
-        if not self._ready:
-            self._alone_since = self.now()
         self.places.pop(worker, None)
+        if not self.places:
+            self._alone_since = self.now()
         process = self._processes.pop(worker)
         process.kill()
         process.wait()
@@ -395,103 +350,26 @@ class ProcessEngine:
     def wait(self, timeout: float) -> Iterator[Answer]:
         """What workers answered since, at least once unless the time passes; a RuntimeError where none could start for
         a long time. Of a worker that is ended while this is looked through no more answers come."""
+        self._host.work()
         with contextlib.suppress(queue.Empty):
-            received = self._answers.get(timeout=timeout)
             while True:
-                worker, process, method, number, answer = received
-                if process is self._processes.get(worker):  # else one that is gone
-                    error = answer.exception()
-                    if error is not None:
-                        yield Answer(worker, method, number, None, self._host.death_line(error))
-                    else:
-                        if method == "facts":
-                            self._ready.add(worker)
-                            self.places[worker] = answer.result()
-                        yield Answer(worker, method, number, answer.result())
-                received = self._answers.get_nowait()
-        if not self._ready and self.now() - self._alone_since > self._host.patience:
+                worker, process, method, number, answer = self._answers.get(timeout=timeout)
+                timeout = 0.0
+                if process is not self._processes.get(worker):
+                    continue  # one that is gone
+                if (error := answer.exception()) is not None:
+                    yield Answer(worker, method, number, None, self._host.death_line(error))
+                    continue
+                if method == "facts":
+                    self.places[worker] = answer.result()
+                yield Answer(worker, method, number, answer.result())
+        if not self.places and self.now() - self._alone_since > self._host.patience:
             raise StateError(f"no worker started within {self._host.patience:.0f} s{self._host.no_place}")
 
     def close(self) -> None:
         """End all workers."""
-        for process in self._processes.values():
+        for process in self._processes.values():  # all at once
             process.kill()
         for process in self._processes.values():
             process.wait()
         self._processes.clear()
-
-
-SLOW = 0.5  # seconds of an item; then a chunk is settled before the next, as this thread reports it only after that
-
-
-class LocalEngine:
-    """Runs chunks in this process, one after the other: items in the thread that waits, while others wait for files."""
-
-    overlapping = False  # it says when items are begun without being asked
-
-    def __init__(self, runner: ChunkRunner):
-        self._runner = runner
-        self._given: tuple[str, Chunk] | None = None
-        self._settling = ThreadPoolExecutor(MAX_CHUNKS, "warpcage-settling")
-        self._answers: queue.SimpleQueue[tuple[str, str, int, Future[Any]]] = queue.SimpleQueue()
-        self._ending = 0
-
-    def now(self) -> float:
-        return time.monotonic()
-
-    def start(self, worker: str, start: int) -> None:
-        """The worker is here; a RuntimeError when it is started again."""
-        if start > 1:  # a device that is lost stays so in this process
-            raise StateError("the device works no more in this process: run again, what is made is kept")
-        self._report(worker, "facts", 0)
-
-    def submit(self, worker: str, method: str, *given: Any) -> None:
-        """Take a chunk, which `wait` makes; none comes back on recall, as no call arrives while it is made."""
-        if method == "run":
-            self._given = worker, given[0]
-        elif method == "recall":
-            self._report(worker, method, given[0], [])
-        else:
-            self._runner.stop()
-
-    def cancel(self, worker: str) -> None:
-        """The worker is this process."""
-
-    def wait(self, timeout: float) -> list[Answer]:
-        """Make the chunk that was given, or wait for one whose files are being written."""
-        if self._given is not None:
-            (worker, order), self._given = self._given, None
-            start = self.now()
-            begun = self._runner.begin(order)
-            if self.now() - start > SLOW * len(order.items):
-                self._report(worker, "run", order.number, self._runner.settle(begun))
-            else:
-                self._ending += 1
-                self._report(worker, "begun", order.number)
-                self._settling.submit(self._runner.settle, begun).add_done_callback(
-                    lambda done: self._answers.put((worker, "run", order.number, done))
-                )
-        answers: list[Answer] = []
-        while not self._answers.empty() or (self._ending and not answers):
-            try:
-                worker, method, number, found = self._answers.get(timeout=timeout)
-            except queue.Empty:
-                break
-            answers.append(Answer(worker, method, number, found.result()))
-            self._ending -= method == "run"
-        return answers
-
-    def _report(self, worker: str, method: str, number: int, found: Any = None) -> None:
-        """Let an answer come into the queue."""
-        done: Future[Any] = Future()
-        done.set_result(found)
-        self._ending += method == "run"
-        self._answers.put((worker, method, number, done))
-
-    def close(self) -> None:
-        """Wait for files that are being written, and close the notes of the worker."""
-        self._settling.shutdown()
-        self._runner.close()
-
-
-Engine = ProcessEngine | LocalEngine

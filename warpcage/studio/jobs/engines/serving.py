@@ -1,4 +1,4 @@
-"""Processes of this machine that work for a driver: how they are started, and what they do until it is gone."""
+"""Processes of this machine that work for a driver: how they are started and asked, and what they do."""
 
 # A driver that has a process of this module start while it loads itself, and plans, has a worker that many seconds
 # sooner. So nothing is imported here that takes time.
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import dataclasses
+import itertools
 import os
 import pickle
 import signal
@@ -16,41 +16,93 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 #: Seconds that a process gets to be gone after it was killed: one that waits for a disk may take longer.
 GONE = 10.0
 
 
-class Started:
-    """A process that waits for the settings of its worker, and ends with the thread that started it.
-    loads: meanwhile it loads what makes items, and starts the device."""
+class WorkerDied(RuntimeError):
+    """Why a process answers no more: one line."""
 
-    def __init__(self, environment: dict[str, str], loads: bool = False, device: str | None = None):
-        self.stderr = tempfile.TemporaryFile()  # what it prints, of which only the last line may ever be shown
+
+class LocalProcess:
+    """A process of this machine, which ends with the thread that started it. Calls and answers go through pipes.
+    loads: before its settings come it loads what makes items, and starts the device."""
+
+    def __init__(self, workers: int, number: int, device: str | None, loads: bool = False):
+        self._stderr = tempfile.TemporaryFile()  # what it prints, of which only the last line may ever be shown
         program = f"import sys; sys.path[:] = {[*map(str, sys.path)]!r}; from {__name__} import serve"
-        self.process = subprocess.Popen(
+        self._process = subprocess.Popen(
             [sys.executable, "-c", f"{program}; serve({loads}, {device and str(device)!r})"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self.stderr,
-            env=os.environ | environment,
+            stderr=self._stderr,
+            env=os.environ | (gpu_of(number) if workers > 1 and device != "cpu" else {}),
             start_new_session=True,  # Ctrl-C is for the driver, which lets it end what it has begun
         )
+        self._lock, self._numbers, self._ended = threading.Lock(), itertools.count(), ""
+        self._waiting: dict[int, Future[Any]] = {}
+        self._sender = ThreadPoolExecutor(1, "warpcage-process")  # a process that hangs reads nothing
+        threading.Thread(target=self._receive, name="warpcage-process", daemon=True).start()
 
-    def end(self) -> None:
-        """Kill the process, wherever it is at, and wait until it is gone."""
-        self.process.kill()
+    def send(self, content: Any) -> None:
+        """Send an object, the settings of its worker first; nothing to a process that has ended."""
+        message = pickle.dumps(content)
+        if not self._ended:
+            with contextlib.suppress(RuntimeError):  # it ended just now
+                self._sender.submit(write_message, self._process.stdin, message)
+
+    def ask(self, method: str, *given: Any) -> Future[Any]:
+        """Call a method of the worker's runner; the answer comes later."""
+        future: Future[Any] = Future()
+        with self._lock:
+            number, ended = next(self._numbers), self._ended
+            if not ended:
+                self._waiting[number] = future
+        if ended:
+            future.set_exception(WorkerDied(ended))
+        self.send((number, method, given))
+        return future
+
+    def kill(self) -> None:
+        """End the process, wherever it is at."""
+        self._process.kill()
+
+    def wait(self) -> None:
+        """Wait until a process that was killed is gone."""
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(GONE)
+            self._process.wait(GONE)
 
-    def close(self) -> None:
-        """End a process that was not used."""
-        self.end()
-        for pipe in (self.process.stdin, self.process.stdout, self.stderr):
-            if pipe is not None:
-                pipe.close()
+    def _receive(self) -> None:
+        """Receive answers, in a thread, until the process ends."""
+        assert self._process.stdout is not None and self._process.stdin is not None
+        with self._process.stdout as pipe, self._stderr:
+            while (answer := read_message(pipe)) is not None:
+                number, error, found = pickle.loads(answer)
+                future = self._waiting.pop(number)
+                if error is None:
+                    future.set_result(found)
+                else:
+                    future.set_exception(WorkerDied(error))
+            line = self._last_line(self._process.wait())
+        with self._lock:
+            self._ended = line
+        for future in self._waiting.values():
+            future.set_exception(WorkerDied(line))
+        self._sender.shutdown()
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
+
+    def _last_line(self, status: int) -> str:
+        """Why the process ended; status: negative is a signal."""
+        if status < 0:
+            return "its worker died: killed, or a crash of the process"
+        self._stderr.seek(0)
+        lines = self._stderr.read().decode(errors="replace").split("\n")
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        return f"its worker died: exit status {status}{': ' if last else ''}{last}"
 
 
 def gpu_of(number: int) -> dict[str, str]:
@@ -60,63 +112,62 @@ def gpu_of(number: int) -> dict[str, str]:
     return {"CUDA_VISIBLE_DEVICES": names[number]} if number < len(names) else {}
 
 
-@dataclasses.dataclass
-class _Early:
-    """Processes that were started before it is known whether they have work; each is taken once."""
-
-    workers: int = 0
-    device: str | None = None
-    waiting: dict[int, Started] = dataclasses.field(default_factory=dict)  # by the number of their worker
-
-
-_early = _Early()
+#: Processes that were started before it is known whether they have work, by the arguments of their `LocalProcess`.
+_early: dict[tuple[int, int, str | None], LocalProcess] = {}
 
 
 @contextlib.contextmanager
-def early_processes(workers: int, count: int, device: str | None) -> Iterator[None]:
-    """Start the first `count` of so many processes, for the first run in the block that asks for them.
-    None that it did not take is left afterwards."""
-    global _early
-    before, _early = _early, _Early(workers, device)
+def early_processes(workers: int, count: int, device: str | None, loads: bool = True) -> Iterator[None]:
+    """Start the first `count` of so many processes, unless they are there, for the first run in the block.
+    Processes that it did not take are ended afterwards."""
+    keys = [(workers, number, device) for number in range(count)]
     try:
-        for number in range(count):
-            _early.waiting[number] = Started(early_environment(workers, number, device), True, device)
+        for key in keys:
+            if key not in _early:
+                _early[key] = LocalProcess(*key, loads)
         yield
     finally:
-        for started in _early.waiting.values():
-            started.close()
-        _early = before
+        left = [process for key in keys if (process := _early.pop(key, None)) is not None]
+        for process in left:
+            process.kill()
+        for process in left:
+            process.wait()
 
 
-def taken_early(workers: int, number: int, device: str | None) -> Started | None:
-    """The process that was started for a worker of so many; None where none was, or it was taken."""
-    is_alike = (workers, device) == (_early.workers, _early.device)
-    return _early.waiting.pop(number, None) if is_alike else None
+def process_of(workers: int, number: int, device: str | None) -> LocalProcess:
+    """The process of one of several workers, one that was started early if there is one."""
+    key = workers, number, device
+    return _early.pop(key, None) or LocalProcess(*key)
 
 
-def early_environment(workers: int, number: int, device: str | None) -> dict[str, str]:
-    """Environment of the process of one of several workers, before it is known whether there are GPUs."""
-    return gpu_of(number) if workers > 1 and device != "cpu" else {}
-
-
-def message(pipe: Any) -> bytes | None:
+def read_message(pipe: Any) -> bytes | None:
     """The next message of a pipe; None where it has ended, also in the midst of one."""
     size = int.from_bytes(pipe.read(8), "little")
     found = pipe.read(size)
     return found if size and len(found) == size else None
 
 
+def write_message(pipe: Any, message: bytes) -> None:
+    """Write a message into a pipe."""
+    pipe.write(len(message).to_bytes(8, "little") + message)
+    pipe.flush()
+
+
 def serve(loads: bool, device: str | None) -> None:
-    """What a process of a worker does: answer what its driver asks, each in a thread, until that is gone.
-    loads, device: as `Started` has them."""
+    """The work of a process: answer the calls of its driver, each in a thread, until that is gone.
+    loads, device: as `LocalProcess` has them."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # with its driver, also where it hangs: PR_SET_PDEATHSIG
-    asked, answers, lock = sys.stdin.buffer, os.fdopen(os.dup(1), "wb"), threading.Lock()
+    calls, answers, lock = sys.stdin.buffer, os.fdopen(os.dup(1), "wb"), threading.Lock()
     os.dup2(2, 1)  # what is printed is no answer
     if loads:
-        with contextlib.suppress(Exception):  # it is met again, and reported, where the runner is made
-            _load(device)
-    settings = message(asked)
+        with contextlib.suppress(Exception):  # raised again, and reported, where the runner is made
+            from ....core.devices import resolve_device
+            from .. import worker  # noqa: F401
+            from .chunk_runner import check_device
+
+            check_device(resolve_device(device))
+    settings = read_message(calls)
     if settings is None:
         return
     from ....core.names import error_line
@@ -127,27 +178,15 @@ def serve(loads: bool, device: str | None) -> None:
 
     def answer(number: int, method: str, given: tuple[Any, ...]) -> None:
         error = found = None
-        begun = False
         try:
-            call = getattr(runner.result(), method)
-            begun = True
-            found = call(*given)
+            found = getattr(runner.result(), method)(*given)
         except BaseException as failure:
-            error = f"its worker {'failed' if begun else 'could not start'}: {error_line(failure, named=True)}"
-        reply = pickle.dumps((number, error, found))
+            action = "could not start" if failure is runner.exception() else "failed"
+            error = f"its worker {action}: {error_line(failure, named=True)}"
+        message = pickle.dumps((number, error, found))
         with lock:
-            answers.write(len(reply).to_bytes(8, "little") + reply)
-            answers.flush()
+            write_message(answers, message)
 
-    while (call := message(asked)) is not None:
+    while (call := read_message(calls)) is not None:
         pool.submit(answer, *pickle.loads(call))
     os._exit(0)  # its driver is gone
-
-
-def _load(device: str | None) -> None:
-    """Load what makes items, and start the device."""
-    from ....core.devices import resolve_device
-    from .. import worker  # noqa: F401
-    from .chunk_runner import check_device
-
-    check_device(resolve_device(device))

@@ -12,25 +12,26 @@ from typing import Any
 
 import numpy as np
 
-from ...cage.cage import Cage
-from ...core.checks import checked_flag, checked_whole
-from ...core.files import PathLike
-from ...core.names import TRANSPARENT
-from ...core.overlap import BackgroundWriter
-from ...deform.bake import bake
-from ...deform.deformer import Deformer
-from ...errors import InputError
-from ...fitting.splats.from_voxels import to_splats
-from ...splats.io.formats import format_to_write
-from ...splats.splat_field import AnyField, SplatField, field_size
-from ...view.camera import Camera
-from ...view.pictures import picture_cuts, write_png
-from ..films import film as films
-from ..films.document import MAIN, Document
-from ..films.folder import atomic_folder, checked_film_path
-from ..films.render import Look, Scene
-from ..films.video import checked_rate, require_clear_film, write_film
-from .pictures.scene import Fields, PosedScene, view_camera
+from ....cage.cage import Cage
+from ....core.checks import checked_flag, checked_whole
+from ....core.files import PathLike
+from ....core.names import TRANSPARENT
+from ....core.overlap import BackgroundWriter
+from ....deform.bake import bake
+from ....deform.deformer import Deformer
+from ....errors import InputError
+from ....fitting.splats.from_voxels import to_splats
+from ....splats.io.formats import format_to_write
+from ....splats.splat_field import AnyField, SplatField, field_size
+from ....view.camera import Camera
+from ....view.pictures import picture_cuts, write_png
+from ...spec.settings import Settings
+from .. import film as films
+from ..document import MAIN, Document
+from ..folder import atomic_folder, checked_film_path
+from ..render import Look, Scene
+from ..video import checked_rate, require_clear_film, write_film
+from .scene import Fields, PosedScene, view_camera
 from .timeline import document_at, frame_rate, frame_times, pose_file
 
 #: Width and height of a film where none is given, and the largest, pixels.
@@ -39,7 +40,7 @@ DEFAULT_SIZE, LARGEST_SIDE = (800, 600), 8192
 #: Kinds of cage files that a session writes; others can be read back too.
 CAGE_ENDINGS = (".obj", ".ply", ".glb")
 
-#: Told how far the work is: a share from 0 to 1 or None, and what is done next. What it raises ends the work.
+#: Gets how far the work is: a share from 0 to 1 or None, and what is done next. What it raises ends the work.
 Report = Callable[[float | None, str], None]
 
 
@@ -85,12 +86,12 @@ def export_film(
     return len(times)
 
 
-def film_look(document: Document, field: AnyField, film: Film) -> Look:
-    """How the frames of a document's film look; field: the session's own."""
+def film_shot(document: Document, field: AnyField, film: Film) -> Settings:
+    """How the frames of a document's film are made; field: the session's own."""
     settings = document.settings
     background = TRANSPARENT if film.transparent else settings.background
     fill = settings.fill and background is None and field.background_model is not None and not document.is_staged
-    return Look(background, settings.supersampling, fill=fill, overlay=film.overlay)
+    return dataclasses.replace(settings, background=background, fill=fill, overlay=film.overlay, show="rgb")
 
 
 def film_pictures(
@@ -120,7 +121,7 @@ def film_pictures(
         views = (document_at(document, times[int(frame)]).view for frame in frames)
         return [view_camera(view, film.width, film.height) for view in views]
 
-    yield from films.Film(len(times), track, moment, film_look(document, scene.fields.main, film))
+    yield from films.Film(len(times), track, moment, Look.of(film_shot(document, scene.fields.main, film)))
     report(1.0, "finishes the file")
 
 

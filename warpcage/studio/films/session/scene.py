@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import pathlib
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -13,20 +14,21 @@ import warp as wp
 from ....cage.cage import Cage
 from ....cage.walls import cut_faces
 from ....core.arrays import box_corners
+from ....core.checks import listed
 from ....deform.deformer import Deformer
-from ....deform.objects import render_object
 from ....deform.stage import Stage
 from ....edits.edits import CageEdit
 from ....edits.place import seen_from
 from ....errors import InputError
-from ....field.render import RenderOptions
 from ....field.voxel_field import VoxelField
 from ....mesh.validity import require_usable
-from ....render.surface_mesh import AnyObject
+from ....render.surface_mesh import AnyObject, load_object
 from ....splats.splat_field import AnyField
 from ....view.camera import Camera
 from ....view.frame import Frame
-from ...films.document import MAIN, Background, Document, Edit, SceneObject, Settings, View
+from ...spec.settings import Settings
+from ..document import MAIN, Document, Edit, SceneObject, View
+from ..render import Look
 
 #: Deformers that are kept for one set of edits, one per resolution: a drag and a picture at rest may have two.
 KEPT_DEFORMERS = 2
@@ -36,6 +38,9 @@ CLICK_ROWS = 4096
 
 #: Pixels of less opacity hide nothing.
 HIDING_ALPHA = 0.5
+
+#: Pictures as the scene has them.
+PLAIN = Look()
 
 
 def view_camera(view: View, width: int, height: int) -> Camera:
@@ -80,6 +85,22 @@ class Fields:
         return np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
 
 
+def read_fields(document: Document, main: AnyField, folder: pathlib.Path) -> Fields:
+    """The fields of a document's objects; folder: of the session, which the names of files are seen from."""
+    fields = Fields(main)
+    for scene_object in document.objects:
+        if scene_object.file is not None and scene_object.file not in fields.files:
+            fields.files[scene_object.file] = load_object(folder / scene_object.file, device=main.device)
+    return fields
+
+
+def require_alone(document: Document, what: str) -> None:
+    """Raise ValueError where a scene holds other objects, for what goes with a field alone."""
+    if document.is_staged:
+        names = listed([one.name for one in document.objects])
+        raise InputError(f"{what} goes with a field in its own place, and this session holds {names}")
+
+
 class PosedScene:
     """The scene of a document, posed and ready to be rendered. One thread at a time may use it."""
 
@@ -112,19 +133,9 @@ class PosedScene:
             stage.add(str(scene_object.id), self.posed(scene_object.id), place=scene_object.place)
         self.stage = stage
 
-    def render(
-        self,
-        camera: Camera,
-        background: Background = None,
-        coarse: float = 1.0,
-        supersampling: int | None = None,
-        fill: bool = False,
-    ) -> Frame:
-        """The view of a camera of the scene that was prepared last; a field without a Deformer has no masks.
-        `coarse`: march steps that are taken as one; for `fill`, of the session's own field alone, see `fill_unseen`."""
-        if self.stage is None:
-            return self._posed[MAIN].render(camera, background, coarse, supersampling, fill)
-        return self.stage.render(camera, background=background, supersampling=supersampling, step_scale=coarse)
+    def render(self, camera: Camera, look: Look = PLAIN) -> Frame:
+        """The view of a camera of the scene that was prepared last; a field without a Deformer has no masks."""
+        return self._posed[MAIN].render(camera, look) if self.stage is None else look.render(self.stage, camera)
 
     def object_at(self, view: View, across: float, down: float, aspect: float) -> int | None:
         """The object that a click meets first, or None; across, down: shares of a picture of this aspect."""
@@ -149,7 +160,7 @@ class PosedObject:
         self.field = field
         self.deformer: Deformer | None = None  # of the last `prepare`; None where the field is shown as it is
         self._edits: tuple[Edit, ...] = ()  # what the kept Deformers and cages are made of
-        self._options: tuple[str, str] = ("", "")
+        self._kind: dict[str, Any] = {}  # the options of the Deformers, without their resolution
         self._rest: list[Cage] = []
         self._kept: dict[int, Deformer] = {}  # by resolution, the last used one at the end
         self._posed: dict[int, list[np.ndarray]] = {}  # the vertices that each of them is posed with
@@ -161,8 +172,10 @@ class PosedObject:
             self.deformer = None
             return
         cells = settings.resolution if resolution is None else resolution
-        options = (settings.coordinates, settings.density)
-        same = options == self._options and _same_rest(edits, self._edits)
+        settings = dataclasses.replace(settings, resolution=cells)
+        options = settings.deformer_options(cells)
+        kind = options | {"resolution": None}
+        same = kind == self._kind and _same_rest(edits, self._edits)
         rest = self._rest if same else [Cage(edit.rest, edit.faces) for edit in edits]
         posed = [
             None if edit.kind == "remove" else cage.with_vertices(edit.posed)
@@ -172,34 +185,23 @@ class PosedObject:
         deformer = kept.get(cells)
         vertices = [edit.posed for edit in edits]
         if deformer is None:
-            coordinates, density = cast(tuple[Any, Any], options)  # names, which documents check
-            deformer = Deformer(
-                self.field, self._cage_edits(edits, rest), coordinates=coordinates, resolution=cells, density=density
-            )
+            deformer = Deformer(self.field, self._cage_edits(edits, rest), **options)
             _pose(deformer, edits, posed)
         elif not _same_arrays(vertices, self._posed.get(cells, [])):
             self._posed.pop(cells, None)
             _pose(deformer, edits, posed)
         if not same:
             self._kept, self._posed = {}, {}
-        self._edits, self._options, self._rest, self.deformer = edits, options, rest, deformer
+        self._edits, self._kind, self._rest, self.deformer = edits, kind, rest, deformer
         self._kept.pop(cells, None)
         self._kept[cells], self._posed[cells] = deformer, vertices
         while len(self._kept) > KEPT_DEFORMERS:
             oldest = next(iter(self._kept))
             del self._kept[oldest], self._posed[oldest]
 
-    def render(
-        self,
-        camera: Camera,
-        background: Background = None,
-        coarse: float = 1.0,
-        supersampling: int | None = None,
-        fill: bool = False,
-    ) -> Frame:
-        """The view of a camera of what was posed last, or of the field itself; see `PosedScene.render`."""
-        options = RenderOptions(background, supersampling, step_scale=coarse, fill=fill)
-        frame = render_object(self.deformer or self.field, camera, options)
+    def render(self, camera: Camera, look: Look) -> Frame:
+        """The view of a camera of what was posed last, or of the field itself."""
+        frame = look.render(self.deformer or self.field, camera)
         if "filled" in frame.arrays:
             device = frame.arrays["alpha"].device
             frame.arrays["rgb"] = wp.array(frame.rgb.reshape(-1, 3), dtype=wp.vec3, device=device)  # as the others
@@ -250,9 +252,9 @@ def _same_arrays(arrays: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> 
 
 def same_pose(one: Document, two: Document) -> bool:
     """Whether two documents pose the scene alike. They share what did not change, so a look at each array is enough."""
-    options = ("mode", "coordinates", "density")
     return (
-        all(getattr(one.settings, name) == getattr(two.settings, name) for name in options)
+        one.settings.mode == two.settings.mode
+        and one.settings.deformer_options(0) == two.settings.deformer_options(0)
         and len(one.edits) == len(two.edits)
         and all(
             a.posed is b.posed

@@ -13,20 +13,20 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ...cage.cage import Cage
-from ...cage.pose_file import PoseFile, known_easing
-from ...core.arrays import box_corners
-from ...core.checks import checked_number
-from ...core.names import MOVE_HELP
-from ...edits.place import PlaceFile
-from ...errors import InputError
-from ...view import motion as between
-from ...view.camera import Camera, CameraKey
-from ...view.camera_path import timed_keys
-from ..films.checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, checked_name, frozen_vertices
-from ..films.document import Document, Key, Timeline, View
-from ..films.moves import CameraMove, MovingCamera, camera_moves, within_sight
-from .pictures.scene import Fields, view_camera
+from ....cage.cage import Cage
+from ....cage.pose_file import PoseFile, known_easing
+from ....core.arrays import box_corners
+from ....core.checks import checked_number
+from ....core.names import MOVE_HELP
+from ....edits.place import PlaceFile
+from ....errors import InputError
+from ....view import motion as between
+from ....view.camera import Camera, CameraKey
+from ....view.camera_path import timed_keys
+from ..checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, checked_name, frozen_vertices
+from ..document import Document, Key, Timeline, View
+from ..moves import CameraMove, MovingCamera, camera_moves, within_sight
+from .scene import Fields, view_camera
 
 #: Keys and what each of them holds of one edit, object or camera.
 _Track: TypeAlias = Sequence[tuple[Key, np.ndarray]]

@@ -17,18 +17,20 @@ from typing import Any, TypeVar
 import numpy as np
 import warp as wp
 
-from ....core.arrays import empty_array
-from ....core.devices import launch
-from ....core.names import coordinate_kind
-from ....core.threads import device_turn
-from ....field.voxel_field import VoxelField
-from ....kernels.view import pictures
-from ....splats.splat_field import AnyField
-from ....view.camera import Camera
-from ....view.frame import Frame
-from ....view.frame_parts import mask_shares, picture
-from ...films.document import Background, Document
-from .scene import HIDING_ALPHA, Fields, PosedScene, same_pose, view_camera
+from ...core.arrays import empty_array
+from ...core.devices import launch
+from ...core.names import coordinate_kind
+from ...core.threads import device_turn
+from ...field.voxel_field import VoxelField
+from ...kernels.view import pictures
+from ...splats.splat_field import AnyField
+from ...view.camera import Camera
+from ...view.frame import Frame
+from ...view.frame_parts import mask_shares, picture
+from ..films.document import Document
+from ..films.render import Look
+from ..films.session.scene import HIDING_ALPHA, Fields, PosedScene, same_pose, view_camera
+from ..spec.settings import Background
 
 #: Seconds that a picture may take during a drag, on a CPU and on CUDA.
 MOVING_SECONDS = {"cpu": 0.05, "cuda": 0.022}
@@ -375,7 +377,7 @@ class Renderer:
             return
         scene = PosedScene(self._fields)
         scene.prepare(document, COARSE_CELLS[0])
-        frame = scene.render(view_camera(document.view, 16, 12), supersampling=effort.supersampling)
+        frame = scene.render(view_camera(document.view, 16, 12), Look(supersampling=effort.supersampling))
         frame_pixels(frame, "rgb", *self._depth_range(document), 16, 12)
         self._warm.add(kind)
 
@@ -416,7 +418,8 @@ class Renderer:
         if background is None and all(field.background_model is None for field in fields):
             background = request.ground
         fill = effort.sharp and self._fills(document)
-        return self._scene.render(seen, background, effort.step, effort.supersampling, fill)
+        chosen = {"background": background, "supersampling": effort.supersampling, "step_scale": effort.step}
+        return self._scene.render(seen, Look.of(document.settings, **chosen, fill=fill))
 
     def _fills(self, document: Document) -> bool:
         """Whether background is filled in sharp pictures of a document."""

@@ -1,1 +1,0 @@
-"""Pictures of a document: its scene as it is posed, and the thread that renders it."""
