@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from runs import run, without
 
-import warpcage
-from warpcage import Camera, FieldOptimizer, SplatField, VoxelField, load_scene
+from warpcage import Camera, FieldOptimizer, VoxelField
 from warpcage.fitting import save_progress
+from warpcage.splats import load_field
 from warpcage.studio.jobs import CHECKPOINTS, Item, Worker
 
 CAMERA = Camera.look_at((2.5, -1.2, 1.0), (0, 0, 0), width=40, height=32)
@@ -20,50 +20,39 @@ FRAME = {
 }
 
 
-def test_a_fit_and_an_evaluation_are_those_of_the_commands(files, tmp_path):
-    options = {"resolution": 16, "epochs": 0.5}
-    fit = Item.from_json({"id": "ball", "kind": "fit", "scene": "scene", "options": options, "output": "f/{id}.npz"})
+@pytest.mark.parametrize(
+    ("ending", "options", "flags"),
+    [
+        ("npz", {"resolution": 16, "epochs": 0.5}, "--resolution 16 --epochs 0.5"),
+        ("ply", {"representation": "splats", "steps": 20, "most_splats": 200, "seed": 3},
+         "--steps 20 --most-splats 200 --seed 3"),
+    ],
+)  # fmt: skip
+def test_a_fit_and_an_evaluation_are_those_of_the_commands(files, tmp_path, ending, options, flags):
+    entry = {"id": "ball", "kind": "fit", "scene": "scene", "options": options}
+    name = f"f/ball.{ending}"
     with Worker(files, tmp_path / "out", "cpu") as worker:
-        assert list(worker.run(fit)) == ["f/ball.npz"]
-    argv = ["fit", "@scene", "-o", tmp_path / "f.npz", "--resolution", 16, "--epochs", "0.5", "--quiet"]
-    assert run(files, *argv, "--device", "cpu") == 0
-    made, expected = (VoxelField.load(path, device="cpu") for path in (tmp_path / "out/f/ball.npz", tmp_path / "f.npz"))
-    np.testing.assert_array_equal(made.grid.density.numpy(), expected.grid.density.numpy())
+        assert list(worker.run(Item.from_json(entry | {"output": f"f/{{id}}.{ending}"}))) == [name]
+    assert Item.from_json(entry).outputs == {"field": f"ball.{ending}"}
+    paths = tmp_path / "out" / name, tmp_path / f"by_command.{ending}"
+    assert run(files, "fit", "@scene", "-o", paths[1], *flags.split(), "--quiet", "--device", "cpu") == 0
+    made, expected = (load_field(path, device="cpu") for path in paths)
+    if ending == "npz":
+        np.testing.assert_array_equal(made.grid.density.numpy(), expected.grid.density.numpy())
+    else:
+        np.testing.assert_array_equal(made.contents.logits, expected.contents.logits)
+        assert 0 < made.splat_count <= 200
     np.testing.assert_array_equal(made.render(CAMERA).rgb, expected.render(CAMERA).rgb)
 
-    entry = {"id": "psnr", "kind": "evaluate", "field": "out/f/ball.npz", "scene": f"{files}/scene"}
+    entry = {"id": "psnr", "kind": "evaluate", "field": f"out/{name}", "scene": f"{files}/scene"}
     with Worker(tmp_path, tmp_path / "out", "cpu") as worker:
         worker.run(Item.from_json(entry))
         assert worker.fields.read_count == 1
-    argv = ["evaluate", tmp_path / "out/f/ball.npz", "@scene", "--json", tmp_path / "psnr.json", "--quiet"]
-    assert run(files, *argv, "--device", "cpu") == 0
+    argv = ["evaluate", paths[0], "@scene", "--json", tmp_path / "psnr.json", "--quiet", "--device", "cpu"]
+    assert run(files, *argv) == 0
     made, expected = (json.loads(path.read_text()) for path in (tmp_path / "out/psnr.json", tmp_path / "psnr.json"))
     assert made["views"] == expected["views"] and len(made["views"]) == 2
     assert without(made, "field") == without(expected, "field")
-
-
-def test_splats_are_fitted_and_evaluated_as_by_the_commands(files, tmp_path):
-    options = {"representation": "splats", "steps": 20, "pixels_per_splat": 4.0, "seed": 3}
-    fit = Item.from_json({"id": "ball", "kind": "fit", "scene": "scene", "options": options, "output": "f/{id}.ply"})
-    with Worker(files, tmp_path / "out", "cpu") as worker:
-        assert list(worker.run(fit)) == ["f/ball.ply"]
-    other = Item.from_json({"id": "ball", "kind": "fit", "scene": "scene", "options": options | {"seed": 4}})
-    assert other.outputs == {"field": "ball.ply"}
-    scene = load_scene(files / "scene")
-    expected = warpcage.fit(scene, device="cpu", progress=False, **options)
-    made = SplatField.load(tmp_path / "out/f/ball.ply", device="cpu")
-    np.testing.assert_array_equal(made.contents.logits, expected.contents.logits)
-    argv = ["fit", "@scene", "-o", tmp_path / "ball.ply", "--steps", 20, "--most-splats", 200, "--quiet"]
-    assert run(files, *argv, "--device", "cpu") == 0
-    assert 0 < SplatField.load(tmp_path / "ball.ply", device="cpu").splat_count <= 200
-
-    entry = {"id": "psnr", "kind": "evaluate", "field": "out/f/ball.ply", "scene": f"{files}/scene"}
-    with Worker(tmp_path, tmp_path / "out", "cpu") as worker:
-        worker.run(Item.from_json(entry))
-    argv = ["evaluate", tmp_path / "out/f/ball.ply", "@scene", "--json", tmp_path / "psnr.json", "--quiet"]
-    assert run(files, *argv, "--device", "cpu") == 0
-    made, expected = (json.loads(path.read_text()) for path in (tmp_path / "out/psnr.json", tmp_path / "psnr.json"))
-    assert made["views"] == expected["views"] and len(made["views"]) == 2
 
 
 def test_fits_of_one_scene_read_its_pictures_once(files, tmp_path):

@@ -18,6 +18,7 @@ from warpcage.studio.jobs import EvaluateItem, FitItem, FrameItem, Item, JobFile
 HEADER = {"format": "warpcage jobs", "version": 1}
 CAMERA = {"eye": [3, 0, 0], "target": [0, 0, 0], "width": 40, "height": 30}
 FRAME = {"id": "a", "field": "f.npz", "cage": "c.obj", "posed": "p.obj", "camera": CAMERA}
+BARE = without(FRAME, "cage", "posed")
 EDIT = {"cage": "c.obj", "posed": "p.obj"}
 DRAWN = {"random": {"seed": 3, "number": 12}}
 FIT = {"id": "f", "kind": "fit", "scene": "s"}
@@ -69,9 +70,9 @@ def test_files_of_other_systems(tmp_path):
 def test_items_survive_json():
     entries = [
         FRAME | {"extra": {"seed": 3}, "size": 80, "background": [0, 0.5, 1], "supersampling": 2, "resolution": 48},
-        without(FRAME, "cage", "posed") | {"edits": [EDIT, {"cage": "d.obj", "remove": True, "fragments": 0.1}]},
-        without(FRAME, "cage", "posed") | {"edits": [EDIT | {"falloff": 0.1, "held": [3, 5], "up": "y", "keep": True}]},
-        without(FRAME, "cage", "posed"),
+        BARE | {"edits": [EDIT, {"cage": "d.obj", "remove": True, "fragments": 0.1}]},
+        BARE | {"edits": [EDIT | {"falloff": 0.1, "held": [3, 5], "up": "y", "keep": True}]},
+        BARE,
         FRAME | {"posed": DRAWN},
         FRAME | {"posed": {"random": {"number": 1, "stretch": [0.7, 1.5], "reach": [1, 1], "modes": ["wave", "bend"]}}},
         FRAME | {"moments": [{"camera": "cameras.json#0", "posed": ["p.npy#3"]}, {"camera": CAMERA}, {}]},
@@ -99,10 +100,10 @@ def test_a_file_has_the_first_version_that_has_all_of_its_keys(tmp_path):
         assert JobFile(path).header["version"] == 3
     small, older = EDIT | {"fragments": 0.1}, EDIT | {"crumbs": 0.1}
     for item, defaults in [({"edits": [small]}, {}), ({}, {"edits": [older]}), ({}, small), (older, {})]:
-        write_jobs(path, [without(FRAME, "cage", "posed") | item], defaults=defaults)
+        write_jobs(path, [BARE | item], defaults=defaults)
         assert JobFile(path).header["version"] == 4 and JobFile(path).item(0).edits[0].fragments == 0.1
     edits = {"edits": [EDIT, EDIT | {"posed": DRAWN}]}
-    for item, defaults in [(without(FRAME, "cage", "posed") | edits, {}), (FRAME, edits)]:
+    for item, defaults in [(BARE | edits, {}), (FRAME, edits)]:
         write_jobs(path, [item], defaults=defaults)
         assert JobFile(path).header["version"] == 2
 
@@ -158,6 +159,10 @@ def test_items_of_one_group_share_what_is_loaded():
 # -- what is refused
 
 
+def drawn(random):
+    return FRAME | {"posed": {"random": random}}
+
+
 REFUSED = {
     "no id": (without(FRAME, "id"), 'needs an "id"'),
     "an id that leads out": (FRAME | {"id": "../a"}, "'id' must be a relative name"),
@@ -178,9 +183,9 @@ REFUSED = {
     "keep and remove": (without(FRAME, "posed") | {"keep": True, "remove": True}, "do not go together"),
     "held without falloff": (FRAME | {"held": "still"}, "give it a 'falloff'"),
     "edits beside a cage": (FRAME | {"edits": [EDIT]}, "do not go together"),
-    "no edits": (without(FRAME, "cage", "posed") | {"edits": []}, "'edits' must be a list of at least one edit"),
+    "no edits": (BARE | {"edits": []}, "'edits' must be a list of at least one edit"),
     "an edit with a slip": (
-        without(FRAME, "cage", "posed") | {"edits": [EDIT, {"cage": "c.obj", "pose": 1}]},
+        BARE | {"edits": [EDIT, {"cage": "c.obj", "pose": 1}]},
         "edit 2 of 'edits': it has no 'pose'",
     ),
     "a pose of nothing": (
@@ -188,32 +193,20 @@ REFUSED = {
         '\'posed\' must be an array, or {"random": {"seed": 0, "number": 12}}',
     ),
     "a drawn pose of two": (FRAME | {"posed": {"random": {"number": 1}, "bend": 3}}, "'posed' must be an array, or"),
-    "a drawn pose without a number": (
-        FRAME | {"posed": {"random": {"seed": 1}}},
-        "'random' of 'posed' needs a 'number'",
-    ),
-    "a drawn pose with a slip": (
-        FRAME | {"posed": DRAWN | {"random": {"number": 1, "sed": 3}}},
-        "has no 'sed', only seed",
-    ),
-    "a number of a pose": (
-        FRAME | {"posed": {"random": {"number": -1}}},
-        "'number' must be a whole number of at least 0",
-    ),
-    "a stretch of text": (
-        FRAME | {"posed": {"random": {"number": 1, "stretch": "0.5 2"}}},
-        "'stretch' must be 2 numbers",
-    ),
-    "a stretch without 1": (FRAME | {"posed": {"random": {"number": 1, "stretch": [1.5, 2]}}}, "stretch must hold 1"),
-    "a mode": (FRAME | {"posed": {"random": {"number": 1, "modes": ["melt"]}}}, "must be one of bend, twist"),
-    "a mode of text": (FRAME | {"posed": {"random": {"number": 1, "modes": "bend"}}}, "'modes' must be a list of some"),
+    "a drawn pose without a number": (drawn({"seed": 1}), "'random' of 'posed' needs a 'number'"),
+    "a drawn pose with a slip": (drawn({"number": 1, "sed": 3}), "has no 'sed', only seed"),
+    "a number of a pose": (drawn({"number": -1}), "'number' must be a whole number of at least 0"),
+    "a stretch of text": (drawn({"number": 1, "stretch": "0.5 2"}), "'stretch' must be 2 numbers"),
+    "a stretch without 1": (drawn({"number": 1, "stretch": [1.5, 2]}), "stretch must hold 1"),
+    "a mode": (drawn({"number": 1, "modes": ["melt"]}), "must be one of bend, twist"),
+    "a mode of text": (drawn({"number": 1, "modes": "bend"}), "'modes' must be a list of some"),
     "precise harmonic": (FRAME | {"resolution": "precise"}, "harmonic coordinates have no closed form"),
     "an ending": (FRAME | {"outputs": {"rgb": "a.tif"}}, "'rgb' of 'outputs' must end in .png"),
     "a part": (FRAME | {"outputs": {"normal": "a.png"}}, "'outputs' has no 'normal', only rgb"),
     "an output that leads out": (FRAME | {"outputs": {"rgb": "../a.png"}}, "must be a relative name"),
     "one file twice": (FRAME | {"outputs": {"rgb": "a.png", "alpha": "a.png"}}, "two of the 'outputs' are one file"),
     "a clear JPEG": (FRAME | {"background": "transparent", "outputs": {"rgb": "a.jpg"}}, "a JPEG has no opacity"),
-    "masks of nothing": (without(FRAME, "cage", "posed") | {"outputs": {"masks": "m.png"}}, "needs a deformation"),
+    "masks of nothing": (BARE | {"outputs": {"masks": "m.png"}}, "needs a deformation"),
     "fill": (FRAME | {"fill": True, "background": "black"}, "cannot be combined with 'background'"),
     "no moments": (FRAME | {"moments": []}, "'moments' must be a list of objects with a 'camera'"),
     "a moment with a slip": (FRAME | {"moments": [{"pose": []}]}, "moment 1 of 'moments' has no 'pose', only camera"),
