@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import functools
+import inspect
 import json
 import logging
 import struct
@@ -219,6 +220,29 @@ def run(test, folder, **options):
             await asyncio.wait_for(test(host, http), 2 * WAIT)
 
     asyncio.run(all_of_it())
+
+
+def on_pages(test):
+    """A coroutine test(host, pages or http, fixtures) as pytest runs it: against a server of its own in `tmp_path`, of
+    the session of the fixture `session` where it takes that."""
+    names = list(inspect.signature(test).parameters)
+    own = [name for name in names if name in ("host", "server", "page", "other", "third", "http")]
+
+    def run_it(**given):
+        async def called(*opened):
+            fixtures = {name: given[name] for name in names if name in given}
+            await test(**dict(zip(own, opened, strict=True)), **fixtures)
+
+        if "http" in own:
+            run(called, given["tmp_path"])
+        else:
+            with_pages(called, given["tmp_path"], len(own) - 1, given.get("session"))
+
+    fixtures = dict.fromkeys([*names, "tmp_path"]).keys() - set(own)
+    parameters = [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY) for name in sorted(fixtures)]
+    run_it.__name__, run_it.__doc__, run_it.__module__ = test.__name__, test.__doc__, test.__module__
+    run_it.__signature__ = inspect.Signature(parameters)
+    return run_it
 
 
 async def status(http, address, **options):

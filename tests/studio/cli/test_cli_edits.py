@@ -63,7 +63,7 @@ def expected(files, edits, poses):
         ("a.obj:my.obj files/b.glb:wave", EditSpec("a.obj", "my.obj files/b.glb:wave")),
     ],
 )
-def test_words_of_an_edit(text, argv):
+def test_options_of_an_edit_in_one_argument(text, argv):
     assert parse_edit(text) == argv
 
 

@@ -1,6 +1,7 @@
 """Pictures, films and baked fields of deformed scenes from the command line."""
 
 import json
+from fractions import Fraction
 
 import imageio.v3 as iio
 import numpy as np
@@ -86,6 +87,16 @@ def test_animate_goes_through_keyframes_and_cameras(files, tmp_path):
         "--overlay",
     )
     assert np.abs(first - read_image(tmp_path / "one.png")).mean() < 0.01
+
+
+def test_animate_keeps_rates_that_are_not_whole(files, tmp_path):
+    import av
+
+    path = tmp_path / "film.mp4"
+    for fps, rate in (("12.5", Fraction(25, 2)), ("30000/1001", Fraction(30000, 1001))):
+        succeed(files, "animate", "@ball.npz", "-o", path, "--size", 16, "--frames", 3, "--fps", fps, "--quiet")
+        with av.open(str(path)) as container:
+            assert container.streams.video[0].average_rate == rate
 
 
 def test_animate_renders_frames_that_are_cut_again(files, tmp_path, capsys):

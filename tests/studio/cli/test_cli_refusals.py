@@ -278,7 +278,7 @@ def files(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("line", REFUSED)
+@pytest.mark.parametrize("line", REFUSED, ids=lambda line: line or "no command")
 def test_what_is_refused_takes_one_line_and_leaves_nothing(files, line, capsys):
     before = sorted(files.rglob("*"))
     assert run(files, *shlex.split(line)) == 2

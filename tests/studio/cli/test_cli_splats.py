@@ -22,7 +22,7 @@ def said(capsys):
     return captured.out + captured.err
 
 
-def test_info_tells_splats_from_cages(folder, capsys):
+def test_info_distinguishes_splats_from_cages(folder, capsys):
     assert main(["info", "scene.ply"]) == 0
     text = said(capsys)
     assert "kind" in text and "splats" in text and "400" in text and "degree 1" in text and "26 properties" in text

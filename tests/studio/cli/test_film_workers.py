@@ -69,7 +69,7 @@ def test_two_workers_make_the_film_of_one_process(files, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("kind", ["png", "exr"])
-def test_a_folder_goes_on_whoever_began_it(files, tmp_path, rendered, kind):
+def test_a_folder_goes_on_with_workers_and_without(files, tmp_path, rendered, kind):
     if kind == "exr":
         pytest.importorskip("OpenEXR")
     argv = [*FILM, "--format", kind, "-o"]

@@ -44,7 +44,7 @@ def test_a_film_that_fails_at_its_first_frame_leaves_the_folder_as_it_was(files,
     assert listing(folder) == ["mine.txt"]
 
 
-def test_a_note_without_frames_binds_nobody(files, tmp_path):
+def test_a_note_without_frames_does_not_bind(files, tmp_path):
     folder = tmp_path / "frames"
     argv = ["animate", "@ball.npz", "-o", folder, *FILM]
     succeed(files, *argv)

@@ -64,7 +64,7 @@ def test_an_editor_saves_when_it_is_closed_and_goes_on_later(tmp_path):
     assert (tmp_path / "ball.session.json").read_bytes() == before  # a look changes nothing
 
 
-def test_an_address_stays_while_nobody_else_can_read_it(tmp_path):
+def test_an_address_stays_while_no_other_user_can_read_it(tmp_path):
     tiny_field().save(tmp_path / "ball.npz")
 
     def token(**options):

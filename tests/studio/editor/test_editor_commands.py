@@ -206,7 +206,7 @@ def test_a_change_of_nothing_is_no_change():
         ({"do": "timeline", "fps": 12}, "film frame rate"),
     ],
 )
-def test_steps_have_the_words_of_the_page(command, step):
+def test_steps_are_named_as_on_the_page(command, step):
     assert COMMANDS[command["do"]](document(), command)[0] == step
 
 

@@ -384,7 +384,7 @@ def test_a_film_of_a_session_without_two_keys_says_that_nothing_moves(saved, fie
     assert ("nothing moves in this film: its 3 frames are equal" in capsys.readouterr().err) == (count < 2)
 
 
-def test_words_of_the_command_are_safe_for_a_shell():
+def test_the_command_is_safe_for_a_shell():
     command = export_command("it's; rm.session.json", "-field.npz", Film(8, 6), output="$(x).mp4", scene_scale=2 / 3)
     assert shlex.split(command) == [
         "warpcage", "animate", "./-field.npz", "--session", "it's; rm.session.json", "-o", "$(x).mp4",

@@ -16,7 +16,7 @@ def finished(jobs):
     return jobs.section()
 
 
-def test_a_job_tells_of_its_progress_and_of_what_came_of_it():
+def test_a_job_reports_its_progress_and_its_result():
     sections = []
     jobs = Jobs(lambda: sections.append(jobs.section()))
 
@@ -38,7 +38,7 @@ def test_a_job_tells_of_its_progress_and_of_what_came_of_it():
     assert jobs.section() == [] and sections[-1] == []
 
 
-def test_a_listener_is_told_of_each_percent_once():
+def test_a_listener_gets_each_percent_once():
     calls = []
     jobs = Jobs(lambda: calls.append(1))
     jobs.start("many", "count", lambda progress: [progress(k / 10000, "works") for k in range(10000)] and None)

@@ -190,7 +190,7 @@ def test_the_help_scrolls_in_one_place(window: Window) -> None:
 
 
 @pytest.mark.parametrize("way", ["turned", "closed"])
-def test_new_users_are_told_once_how_the_view_turns(window: Window, way: str) -> None:
+def test_new_users_see_once_how_the_view_turns(window: Window, way: str) -> None:
     shown = 'document.getElementById("turn-hint")?.textContent'
     assert "right button" in window.get(shown)
     before, box = window.section("view"), window.box

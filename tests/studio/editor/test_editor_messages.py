@@ -10,7 +10,7 @@ import pytest
 aiohttp = pytest.importorskip("aiohttp")
 pytest.importorskip("hypothesis")
 
-from editor_pages import BOX, packed, with_pages
+from editor_pages import BOX, on_pages, packed, with_pages
 from editor_pages import nothing_logged as _nothing_logged  # noqa: F401 (a fixture for all tests)
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -35,46 +35,40 @@ BROKEN = [b"", b"\2", struct.pack("<4I", 2, 1, 1, 8), struct.pack("<4I", 2, 1, 1
           packed(REST)[:-1], packed(REST) + b"\0" * 8, packed(REST, kind=10), b"\xff" * 16, bytes(1000)]  # fmt: skip
 
 
-def test_messages_that_make_no_sense_are_told_so_and_change_nothing(tmp_path):
-    async def test(host, page):
-        before = host.session.document
-        for text in NONSENSE:
-            await page.socket.send_str(text)
-        await page.until(lambda: len(page.notices) == len(NONSENSE))
-        for data in BROKEN:
-            await page.socket.send_bytes(data)
-        await page.until(lambda: len(page.notices) == len(NONSENSE) + len(BROKEN))
-        assert all("\n" not in text and len(text) < 600 for text in page.notices)
-        assert await page.refused(do="undo") == "there is nothing to undo"
-        assert host.session.document is before and page.replies.keys() == {1, 2}  # the first is that of `size`
-
-    with_pages(test, tmp_path)
+@on_pages
+async def test_messages_that_make_no_sense_are_refused_and_change_nothing(host, page):
+    before = host.session.document
+    for text in NONSENSE:
+        await page.socket.send_str(text)
+    await page.until(lambda: len(page.notices) == len(NONSENSE))
+    for data in BROKEN:
+        await page.socket.send_bytes(data)
+    await page.until(lambda: len(page.notices) == len(NONSENSE) + len(BROKEN))
+    assert all("\n" not in text and len(text) < 600 for text in page.notices)
+    assert await page.refused(do="undo") == "there is nothing to undo"
+    assert host.session.document is before and page.replies.keys() == {1, 2}  # the first is that of `size`
 
 
-def test_a_page_that_makes_no_sense_for_long_is_let_go(tmp_path):
-    async def test(host, page, other):
-        for _ in range(clients.MAX_MISTAKES):
-            await page.socket.send_bytes(b"x")
-        assert await page.ended() == aiohttp.WSCloseCode.POLICY_VIOLATION
-        await other.until(lambda: other.sections["session"]["pages"] == 1)
-        for _ in range(2 * clients.MAX_MISTAKES):  # what a user may do in vain is no nonsense
-            await other.refused(do="undo")
-        await other.socket.send_bytes(b"x")
-        await other.do(do="select", edit=1, mode="vertex", vertices=[1])
-
-    with_pages(test, tmp_path, 2)
+@on_pages
+async def test_a_page_that_makes_no_sense_for_long_is_let_go(host, page, other):
+    for _ in range(clients.MAX_MISTAKES):
+        await page.socket.send_bytes(b"x")
+    assert await page.ended() == aiohttp.WSCloseCode.POLICY_VIOLATION
+    await other.until(lambda: other.sections["session"]["pages"] == 1)
+    for _ in range(2 * clients.MAX_MISTAKES):  # what a user may do in vain is no nonsense
+        await other.refused(do="undo")
+    await other.socket.send_bytes(b"x")
+    await other.do(do="select", edit=1, mode="vertex", vertices=[1])
 
 
-def test_a_message_that_is_too_large_ends_its_page_alone(tmp_path):
-    async def test(host, page, other):
-        with contextlib.suppress(ConnectionError):
-            await page.socket.send_bytes(bytes(server.MAX_MESSAGE + 1))
-        await page.ended()
-        await other.until(lambda: other.sections["session"]["pages"] == 1)
-        await other.drag(REST * 1.1)
-        np.testing.assert_array_equal(host.session.document.edits[0].posed, REST * 1.1)
-
-    with_pages(test, tmp_path, 2)
+@on_pages
+async def test_a_message_that_is_too_large_ends_its_page_alone(host, page, other):
+    with contextlib.suppress(ConnectionError):
+        await page.socket.send_bytes(bytes(server.MAX_MESSAGE + 1))
+    await page.ended()
+    await other.until(lambda: other.sections["session"]["pages"] == 1)
+    await other.drag(REST * 1.1)
+    np.testing.assert_array_equal(host.session.document.edits[0].posed, REST * 1.1)
 
 
 ODD = [None, True, False, 0, -1, 1.5, 10**30, 2**63, 1e308, -1e308, "", "x", "\ud800", "\0", "x" * 2000, [],

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from editor_pages import BOX, new_session, nothing_logged, tiny_field, with_pages
+from editor_pages import BOX, new_session, nothing_logged, on_pages, tiny_field, with_pages
 
 import warpcage
 from warpcage import Place, SplatField, Stage, SurfaceMesh
@@ -75,6 +75,11 @@ def session_in(folder, cages=(BOX,)):
     return Session(field, new_document(field, cages, 16, "ball"), folder / "ball.session.json", folder / "ball.npz")
 
 
+@pytest.fixture
+def session(folder):
+    return session_in(folder)
+
+
 def two_objects(place=AWAY):
     """A document of the ball and a green one, and their fields."""
     fields = Fields(tiny_field())
@@ -92,130 +97,114 @@ def picture(document, fields, size=(40, 30)):
 # pages ---------------------------------------------------------------------------------------------------------------
 
 
-def test_an_object_is_added_placed_locked_and_undone(folder):
-    session = session_in(folder)
-
-    async def test(server, page):
-        assert await page.do(do="object.files") == {"files": ["ball.npz", "blue.ply", "green.npz", "cage.ply"]}
-        await page.do(do="object.add", file="green.npz", place={"position": [1.5, 0, 0]})
-        await page.until(lambda: len(page.sections["objects"]) == 2)
-        ball, green = page.sections["objects"]
-        assert (ball["id"], ball["name"], ball["file"]) == (MAIN, "ball", None)
-        assert (green["name"], green["file"], green["place"]["position"]) == ("green", "green.npz", [1.5, 0, 0])
-        assert page.sections["selection"]["object"] == green["id"] and page.sections["edits"] == []
-        number = green["id"]
-        await page.do(do="object.change", id=number, place={"position": [1, 2, 3], "turn": [0, 0, 90], "scale": 0.5})
-        assert session.document.scene_object(number).place == Place((1, 2, 3), (0, 0, 90), 0.5)
-        await page.do(do="object.change", id=number, locked=True)
-        for message in ({"do": "object.change", "place": {}}, {"do": "object.remove"}):
-            assert await page.refused(**message, id=number) == "'green' is locked: unlock it first"
-        assert await page.refused(do="place.begin", object=number) == "'green' is locked: unlock it first"
-        await page.do(do="object.change", id=number, locked=False, visible=False, name="my ball")
-        assert "hide it instead" in await page.refused(do="object.remove", id=MAIN)
-        await page.do(do="object.remove", id=number)
-        await page.until(lambda: len(page.sections["objects"]) == 1 and len(page.sections["edits"]) == 1)
-        assert page.sections["selection"] == {"edit": 1, "mode": "vertex", "vertices": [], "object": MAIN}
-        for _ in range(5):
-            await page.do(do="undo")
-        assert not session.document.is_staged
-        for _ in range(5):
-            await page.do(do="redo")
-        assert [scene_object.name for scene_object in session.document.objects] == ["ball"]
-        for name in ("../green.npz", "no.npz", "notes.txt", 5, ""):
-            await page.refused(do="object.add", file=name)
-        assert len(session.document.objects) == 1
-
-    with_pages(test, folder, session=session)
-
-
-def test_cameras_of_keys_are_moved_back_until_they_see_all(folder):
-    session = session_in(folder)
-
-    async def test(server, page):
-        await page.do(do="key.add", time=0.0, pose=False, camera=True)
-        assert await page.do(do="camera.outside", aspect=1.5) == {"keys": 0}
-        assert "see everything already" in await page.refused(do="camera.frame", aspect=1.5)
-        await page.do(do="object.add", file="green.npz", place={"position": [9, 0, 0]})
-        before = session.document.timeline.keys[0].view
-        assert await page.do(do="camera.outside", aspect=1.5) == {"keys": 1}
-        await page.do(do="camera.frame", aspect=1.5)
-        after = session.document.timeline.keys[0].view
-        places = np.concatenate(
-            [
-                scene_object.place.moved(box_corners(session.fields.field(scene_object).bounds))
-                for scene_object in session.document.objects
-            ]
-        )
-        ways = [np.subtract(view.target, view.eye) for view in (before, after)]
-        np.testing.assert_allclose(*[way / np.linalg.norm(way) for way in ways], atol=1e-9)
-        np.testing.assert_allclose(after.target, (places.min(axis=0) + places.max(axis=0)) / 2, atol=1e-9)
-        camera = view_camera(after, 600, 400)
-        seen = (places - camera.center) @ camera.camera_to_world[:3, :3]
-        pixels = seen[:, :2] / seen[:, 2:] * camera.fx
-        assert np.all(seen[:, 2] > 0) and np.all(np.abs(pixels) <= [300, 200])
-        assert session.history.undo_steps[-1][0] == "move camera keys"
-        assert await page.do(do="camera.outside", aspect=1.5) == {"keys": 0}
+@on_pages
+async def test_an_object_is_added_placed_locked_and_undone(server, page, session):
+    assert await page.do(do="object.files") == {"files": ["ball.npz", "blue.ply", "green.npz", "cage.ply"]}
+    await page.do(do="object.add", file="green.npz", place={"position": [1.5, 0, 0]})
+    await page.until(lambda: len(page.sections["objects"]) == 2)
+    ball, green = page.sections["objects"]
+    assert (ball["id"], ball["name"], ball["file"]) == (MAIN, "ball", None)
+    assert (green["name"], green["file"], green["place"]["position"]) == ("green", "green.npz", [1.5, 0, 0])
+    assert page.sections["selection"]["object"] == green["id"] and page.sections["edits"] == []
+    number = green["id"]
+    await page.do(do="object.change", id=number, place={"position": [1, 2, 3], "turn": [0, 0, 90], "scale": 0.5})
+    assert session.document.scene_object(number).place == Place((1, 2, 3), (0, 0, 90), 0.5)
+    await page.do(do="object.change", id=number, locked=True)
+    for message in ({"do": "object.change", "place": {}}, {"do": "object.remove"}):
+        assert await page.refused(**message, id=number) == "'green' is locked: unlock it first"
+    assert await page.refused(do="place.begin", object=number) == "'green' is locked: unlock it first"
+    await page.do(do="object.change", id=number, locked=False, visible=False, name="my ball")
+    assert "hide it instead" in await page.refused(do="object.remove", id=MAIN)
+    await page.do(do="object.remove", id=number)
+    await page.until(lambda: len(page.sections["objects"]) == 1 and len(page.sections["edits"]) == 1)
+    assert page.sections["selection"] == {"edit": 1, "mode": "vertex", "vertices": [], "object": MAIN}
+    for _ in range(5):
         await page.do(do="undo")
-        assert session.document.timeline.keys[0].view == before
-        assert "aspect" in await page.refused(do="camera.frame", aspect="wide")
-
-    with_pages(test, folder, session=session)
-
-
-def test_a_drag_moves_an_object_in_one_step_and_its_turn_goes_on(folder):
-    session = session_in(folder)
-
-    async def test(server, page):
-        await page.do(do="object.add", file="green.npz", place={"turn": [0, 0, 170]})
-        number, steps = session.document.selection.object_id, len(session.history.undo_steps)
-        await page.do(do="place.begin", object=number, label="Rotate")
-        for turn in (180.0, 190.0, 300.0, 400.0):
-            matrix = Place((0.1 * turn, 0, 0), (0, 0, turn), 0.5).matrix.tolist()
-            await page.do(do="place.set", object=number, matrix=matrix, seq=int(turn))
-        await page.do(do="place.end")
-        assert len(session.history.undo_steps) == steps + 1
-        place = session.document.scene_object(number).place
-        np.testing.assert_allclose([*place.position, *place.turn, place.scale], [40, 0, 0, 0, 0, 400, 0.5], atol=1e-9)
-        await page.until(lambda: page.frames and page.frames[-1]["applied"][str(page.client)] == 400)
-        await page.do(do="place.begin", object=number)
-        await page.do(do="place.set", object=number, matrix=np.eye(4).tolist(), seq=401)
-        await page.do(do="place.end", cancel=True)
-        assert session.document.scene_object(number).place == place
-        await page.refused(do="object.change", id=number, place={"scale": -1})
-        await page.do(do="place.begin", object=number)
-        for matrix in (np.diag([-1.0, 1, 1, 1]), np.zeros((4, 4)), np.diag([2.0, 1, 1, 1]), np.eye(3)):
-            await page.refused(do="place.set", object=number, matrix=matrix.tolist(), seq=402)
-        await page.do(do="place.end")
-        assert session.document.scene_object(number).place == place
-
-    with_pages(test, folder, session=session)
+    assert not session.document.is_staged
+    for _ in range(5):
+        await page.do(do="redo")
+    assert [scene_object.name for scene_object in session.document.objects] == ["ball"]
+    for name in ("../green.npz", "no.npz", "notes.txt", 5, ""):
+        await page.refused(do="object.add", file=name)
+    assert len(session.document.objects) == 1
 
 
-def test_edits_are_of_the_active_object(folder):
-    session = session_in(folder)
+@on_pages
+async def test_cameras_of_keys_are_moved_back_until_they_see_all(server, page, session):
+    await page.do(do="key.add", time=0.0, pose=False, camera=True)
+    assert await page.do(do="camera.outside", aspect=1.5) == {"keys": 0}
+    assert "see everything already" in await page.refused(do="camera.frame", aspect=1.5)
+    await page.do(do="object.add", file="green.npz", place={"position": [9, 0, 0]})
+    before = session.document.timeline.keys[0].view
+    assert await page.do(do="camera.outside", aspect=1.5) == {"keys": 1}
+    await page.do(do="camera.frame", aspect=1.5)
+    after = session.document.timeline.keys[0].view
+    places = np.concatenate(
+        [
+            scene_object.place.moved(box_corners(session.fields.field(scene_object).bounds))
+            for scene_object in session.document.objects
+        ]
+    )
+    ways = [np.subtract(view.target, view.eye) for view in (before, after)]
+    np.testing.assert_allclose(*[way / np.linalg.norm(way) for way in ways], atol=1e-9)
+    np.testing.assert_allclose(after.target, (places.min(axis=0) + places.max(axis=0)) / 2, atol=1e-9)
+    camera = view_camera(after, 600, 400)
+    seen = (places - camera.center) @ camera.camera_to_world[:3, :3]
+    pixels = seen[:, :2] / seen[:, 2:] * camera.fx
+    assert np.all(seen[:, 2] > 0) and np.all(np.abs(pixels) <= [300, 200])
+    assert session.history.undo_steps[-1][0] == "move camera keys"
+    assert await page.do(do="camera.outside", aspect=1.5) == {"keys": 0}
+    await page.do(do="undo")
+    assert session.document.timeline.keys[0].view == before
+    assert "aspect" in await page.refused(do="camera.frame", aspect="wide")
 
-    async def test(server, page, other):
-        await page.do(do="object.add", file="green.npz", place={"position": [3, 0, 0]})
-        number = session.document.selection.object_id
-        await page.do(do="edit.add", lower=[-1, -1, -1], upper=[1, 1, 1])
-        await other.until(lambda: [edit["object"] for edit in other.sections["edits"]] == [number])
-        (edit,) = session.document.edits_of(number)
-        await page.drag(edit.rest + [0, 0, 0.25], edit=edit.id)
-        await other.until(lambda: (2, edit.id) in other.vertices or other.posed(edit.id)[0, 2] > edit.rest[0, 2])
-        assert np.array_equal(session.document.edit(edit.id).posed, edit.rest + [0, 0, 0.25])
-        assert np.array_equal(session.document.edit(1).posed, BOX.vertices)
-        await page.do(do="object.select", id=MAIN)
-        await page.until(lambda: [edit["id"] for edit in page.sections["edits"]] == [1])
-        assert session.document.selection.edit == 1
-        await page.do(do="edit.order", ids=[1])  # those of the active object
-        await page.refused(do="edit.order", ids=[1, edit.id])
-        # a cage is generated for the object that was active when it was asked for
-        await page.do(do="cage.generate", count=20)
-        await page.do(do="object.select", id=number)
-        await page.until(lambda: page.sections["jobs"] and page.sections["jobs"][-1]["state"] != "running")
-        assert [len(session.document.edits_of(scene_object)) for scene_object in (MAIN, number)] == [2, 1]
 
-    with_pages(test, folder, count=2, session=session)
+@on_pages
+async def test_a_drag_moves_an_object_in_one_step_and_its_turn_goes_on(server, page, session):
+    await page.do(do="object.add", file="green.npz", place={"turn": [0, 0, 170]})
+    number, steps = session.document.selection.object_id, len(session.history.undo_steps)
+    await page.do(do="place.begin", object=number, label="Rotate")
+    for turn in (180.0, 190.0, 300.0, 400.0):
+        matrix = Place((0.1 * turn, 0, 0), (0, 0, turn), 0.5).matrix.tolist()
+        await page.do(do="place.set", object=number, matrix=matrix, seq=int(turn))
+    await page.do(do="place.end")
+    assert len(session.history.undo_steps) == steps + 1
+    place = session.document.scene_object(number).place
+    np.testing.assert_allclose([*place.position, *place.turn, place.scale], [40, 0, 0, 0, 0, 400, 0.5], atol=1e-9)
+    await page.until(lambda: page.frames and page.frames[-1]["applied"][str(page.client)] == 400)
+    await page.do(do="place.begin", object=number)
+    await page.do(do="place.set", object=number, matrix=np.eye(4).tolist(), seq=401)
+    await page.do(do="place.end", cancel=True)
+    assert session.document.scene_object(number).place == place
+    await page.refused(do="object.change", id=number, place={"scale": -1})
+    await page.do(do="place.begin", object=number)
+    for matrix in (np.diag([-1.0, 1, 1, 1]), np.zeros((4, 4)), np.diag([2.0, 1, 1, 1]), np.eye(3)):
+        await page.refused(do="place.set", object=number, matrix=matrix.tolist(), seq=402)
+    await page.do(do="place.end")
+    assert session.document.scene_object(number).place == place
+
+
+@on_pages
+async def test_edits_are_of_the_active_object(server, page, other, session):
+    await page.do(do="object.add", file="green.npz", place={"position": [3, 0, 0]})
+    number = session.document.selection.object_id
+    await page.do(do="edit.add", lower=[-1, -1, -1], upper=[1, 1, 1])
+    await other.until(lambda: [edit["object"] for edit in other.sections["edits"]] == [number])
+    (edit,) = session.document.edits_of(number)
+    await page.drag(edit.rest + [0, 0, 0.25], edit=edit.id)
+    await other.until(lambda: (2, edit.id) in other.vertices or other.posed(edit.id)[0, 2] > edit.rest[0, 2])
+    assert np.array_equal(session.document.edit(edit.id).posed, edit.rest + [0, 0, 0.25])
+    assert np.array_equal(session.document.edit(1).posed, BOX.vertices)
+    await page.do(do="object.select", id=MAIN)
+    await page.until(lambda: [edit["id"] for edit in page.sections["edits"]] == [1])
+    assert session.document.selection.edit == 1
+    await page.do(do="edit.order", ids=[1])  # those of the active object
+    await page.refused(do="edit.order", ids=[1, edit.id])
+    # a cage is generated for the object that was active when it was asked for
+    await page.do(do="cage.generate", count=20)
+    await page.do(do="object.select", id=number)
+    await page.until(lambda: page.sections["jobs"] and page.sections["jobs"][-1]["state"] != "running")
+    assert [len(session.document.edits_of(scene_object)) for scene_object in (MAIN, number)] == [2, 1]
 
 
 def test_a_click_finds_the_object_that_it_meets(folder):
@@ -321,22 +310,18 @@ def test_still_moments_of_several_objects_are_rendered_once(monkeypatch):
     assert len({id(frame) for frame in film_pictures(hidden, fields, Film(40, 30))}) == 3  # that it moves is not seen
 
 
-def test_a_scrub_keeps_a_place_that_no_key_holds(folder):
-    session = session_in(folder)
-
-    async def test(server, page):
-        await page.do(do="object.add", file="green.npz", place={"position": [2, 0, 0]})
-        number = session.document.selection.object_id
-        await page.do(do="key.add", time=0, pose=True)
-        await page.until(lambda: page.sections["timeline"]["keys"][0]["pose"])
-        await page.do(do="object.change", id=number, place={"position": [0, 0, 2]})
-        await page.do(do="time", time=0.5)
-        assert session.document.scene_object(number).place.position == (2.0, 0.0, 0.0)
-        await page.until(lambda: page.sections["objects"][1]["place"]["position"] == [2, 0, 0])
-        await page.do(do="undo")
-        assert session.document.scene_object(number).place.position == (0.0, 0.0, 2.0)
-
-    with_pages(test, folder, session=session)
+@on_pages
+async def test_a_scrub_keeps_a_place_that_no_key_holds(server, page, session):
+    await page.do(do="object.add", file="green.npz", place={"position": [2, 0, 0]})
+    number = session.document.selection.object_id
+    await page.do(do="key.add", time=0, pose=True)
+    await page.until(lambda: page.sections["timeline"]["keys"][0]["pose"])
+    await page.do(do="object.change", id=number, place={"position": [0, 0, 2]})
+    await page.do(do="time", time=0.5)
+    assert session.document.scene_object(number).place.position == (2.0, 0.0, 0.0)
+    await page.until(lambda: page.sections["objects"][1]["place"]["position"] == [2, 0, 0])
+    await page.do(do="undo")
+    assert session.document.scene_object(number).place.position == (0.0, 0.0, 2.0)
 
 
 def test_a_copy_has_edits_and_keys_of_its_own_and_shares_the_field(folder):
@@ -545,34 +530,26 @@ def test_objects_are_baked_into_one_field(folder):
     assert np.abs(both.render(camera).rgb - expected).mean() < 0.01
 
 
-def test_two_pages_of_a_hand_that_has_gone(folder):
-    session = session_in(folder)
-
-    async def test(server, page, other):
-        await page.do(do="object.add", file="green.npz")
-        number = session.document.selection.object_id
-        await page.do(do="place.begin", object=number, label="Move")
-        await page.do(do="place.set", object=number, matrix=Place((1, 0, 0)).matrix.tolist(), seq=1)
-        await other.until(lambda: other.sections["objects"][1]["place"]["position"] == [1, 0, 0])
-        await other.do(do="object.change", id=number, name="theirs")  # ends the gesture of the first
-        await page.do(do="place.set", object=number, matrix=Place((2, 0, 0)).matrix.tolist(), seq=2)
-        assert session.document.scene_object(number).place.position == (1.0, 0.0, 0.0)
-        await page.until(lambda: page.notices)
-        await asyncio.sleep(0)
-
-    with_pages(test, folder, count=2, session=session)
+@on_pages
+async def test_two_pages_of_a_hand_that_has_gone(server, page, other, session):
+    await page.do(do="object.add", file="green.npz")
+    number = session.document.selection.object_id
+    await page.do(do="place.begin", object=number, label="Move")
+    await page.do(do="place.set", object=number, matrix=Place((1, 0, 0)).matrix.tolist(), seq=1)
+    await other.until(lambda: other.sections["objects"][1]["place"]["position"] == [1, 0, 0])
+    await other.do(do="object.change", id=number, name="theirs")  # ends the gesture of the first
+    await page.do(do="place.set", object=number, matrix=Place((2, 0, 0)).matrix.tolist(), seq=2)
+    assert session.document.scene_object(number).place.position == (1.0, 0.0, 0.0)
+    await page.until(lambda: page.notices)
+    await asyncio.sleep(0)
 
 
-def test_a_scene_of_which_nothing_is_shown_says_so_until_something_is(folder):
-    session = session_in(folder)
-
-    async def test(server, page):
-        await page.do(do="object.change", id=MAIN, visible=False)
-        await page.until(lambda: page.frames and "shows nothing" in (page.frames[-1]["error"] or ""))
-        await page.do(do="object.change", id=MAIN, visible=True)
-        await page.until(lambda: page.frames[-1]["error"] is None)
-
-    with_pages(test, folder, session=session)
+@on_pages
+async def test_a_scene_of_which_nothing_is_shown_says_so_until_something_is(server, page, session):
+    await page.do(do="object.change", id=MAIN, visible=False)
+    await page.until(lambda: page.frames and "shows nothing" in (page.frames[-1]["error"] or ""))
+    await page.do(do="object.change", id=MAIN, visible=True)
+    await page.until(lambda: page.frames[-1]["error"] is None)
 
 
 def test_a_new_session_has_one_object():

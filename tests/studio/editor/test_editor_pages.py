@@ -12,7 +12,7 @@ import pytest
 aiohttp = pytest.importorskip("aiohttp")
 pytest.importorskip("hypothesis")
 
-from editor_pages import BOX, WAIT, Page, new_session, pages, with_pages
+from editor_pages import BOX, WAIT, Page, new_session, on_pages, pages, with_pages
 from editor_pages import nothing_logged as _nothing_logged  # noqa: F401 (a fixture for all tests)
 from scenes import LAMP, TableScene
 
@@ -27,85 +27,77 @@ REST = BOX.vertices
 # -- Several pages
 
 
-def test_pages_see_the_same_and_a_drag_of_one_moves_in_the_other(tmp_path):
-    async def test(host, page, other, third):
-        await page.send(do="drag.begin", edit=1, label="pull")
-        await page.move(REST * 1.1)
-        await other.until(lambda: np.array_equal(other.posed(), REST * 1.1))  # before it ends
-        assert other.sections["history"]["undo"] == 0 and (2, 1) not in page.vertices
+@on_pages
+async def test_pages_see_the_same_and_a_drag_of_one_moves_in_the_other(host, page, other, third):
+    await page.send(do="drag.begin", edit=1, label="pull")
+    await page.move(REST * 1.1)
+    await other.until(lambda: np.array_equal(other.posed(), REST * 1.1))  # before it ends
+    assert other.sections["history"]["undo"] == 0 and (2, 1) not in page.vertices
+    await page.move(REST * 1.2)
+    await page.do(do="drag.end", edit=1)
+    await other.do(do="edit.change", id=1, name="Trunk")
+    await third.drag(REST * 1.3, kind=3)
+    await page.do(do="settings", background="black")
+    for one in (page, other, third):
+        await one.until(lambda: one.sections["settings"]["background"] == "black")  # noqa: B023
+        np.testing.assert_array_equal(one.rest(), REST * 1.3)
+        np.testing.assert_allclose(one.posed(), REST * 1.5)
+    kept = [dict(one.sections) for one in (page, other, third)]
+    assert kept[0] == kept[1] == kept[2] and kept[0]["edits"][0]["name"] == "Trunk"
+    assert kept[0]["history"]["undo_label"] == "change background"
+
+
+@on_pages
+async def test_a_page_that_comes_later_sees_a_drag_under_way(host, page):
+    await page.send(do="drag.begin", edit=1)
+    await page.move(REST * 1.1)
+    await page.until(lambda: page.frames and page.frames[-1]["applied"]["1"] == 1)
+    async with pages(host) as (late,):
+        np.testing.assert_array_equal(late.posed(), REST * 1.1)
+        await late.until(lambda: late.frames)
         await page.move(REST * 1.2)
-        await page.do(do="drag.end", edit=1)
-        await other.do(do="edit.change", id=1, name="Trunk")
-        await third.drag(REST * 1.3, kind=3)
-        await page.do(do="settings", background="black")
-        for one in (page, other, third):
-            await one.until(lambda: one.sections["settings"]["background"] == "black")  # noqa: B023
-            np.testing.assert_array_equal(one.rest(), REST * 1.3)
-            np.testing.assert_allclose(one.posed(), REST * 1.5)
-        kept = [dict(one.sections) for one in (page, other, third)]
-        assert kept[0] == kept[1] == kept[2] and kept[0]["edits"][0]["name"] == "Trunk"
-        assert kept[0]["history"]["undo_label"] == "change background"
-
-    with_pages(test, tmp_path, 3)
+        await late.until(lambda: np.array_equal(late.posed(), REST * 1.2))
 
 
-def test_a_page_that_comes_later_sees_a_drag_under_way(tmp_path):
-    async def test(host, page):
-        await page.send(do="drag.begin", edit=1)
-        await page.move(REST * 1.1)
-        await page.until(lambda: page.frames and page.frames[-1]["applied"]["1"] == 1)
-        async with pages(host) as (late,):
-            np.testing.assert_array_equal(late.posed(), REST * 1.1)
-            await late.until(lambda: late.frames)
-            await page.move(REST * 1.2)
-            await late.until(lambda: np.array_equal(late.posed(), REST * 1.2))
-
-    with_pages(test, tmp_path)
-
-
-def test_a_drag_that_another_page_ends_is_kept_and_said_once(tmp_path):
-    async def test(host, page, other):
-        await page.send(do="drag.begin", edit=1, label="pull")
-        await page.move(REST * 1.1)
-        await page.until(lambda: page.frames and page.frames[-1]["applied"]["1"] == 1)
-        await other.do(do="select", edit=1, mode="face", vertices=[2])
-        for factor in np.linspace(1.2, 2.0, 2 * clients.MAX_MISTAKES):
-            await page.move(REST * factor)
-        assert await page.refused(do="drag.end", edit=1) == server.STRAYED
-        assert page.notices == [server.STRAYED] and other.notices == []
-        labels = [label for label, _ in host.session.history.undo_steps]
-        assert labels == ["pull", "select"]
-        await page.until(lambda: np.array_equal(page.posed(), REST * 1.1))
-        await page.drag(REST * 1.4)  # the next one works
-        assert await page.do(do="undo") == "move"
-
-    with_pages(test, tmp_path, 2)
+@on_pages
+async def test_a_drag_that_another_page_ends_is_kept_and_said_once(host, page, other):
+    await page.send(do="drag.begin", edit=1, label="pull")
+    await page.move(REST * 1.1)
+    await page.until(lambda: page.frames and page.frames[-1]["applied"]["1"] == 1)
+    await other.do(do="select", edit=1, mode="face", vertices=[2])
+    for factor in np.linspace(1.2, 2.0, 2 * clients.MAX_MISTAKES):
+        await page.move(REST * factor)
+    assert await page.refused(do="drag.end", edit=1) == server.STRAYED
+    assert page.notices == [server.STRAYED] and other.notices == []
+    labels = [label for label, _ in host.session.history.undo_steps]
+    assert labels == ["pull", "select"]
+    await page.until(lambda: np.array_equal(page.posed(), REST * 1.1))
+    await page.drag(REST * 1.4)  # the next one works
+    assert await page.do(do="undo") == "move"
 
 
-def test_gestures_out_of_order_are_refused_or_ignored(tmp_path):
-    async def test(host, page, other):
-        await page.move(REST * 3)
-        assert await page.refused(do="drag.end", edit=1) == server.STRAYED
-        assert await page.refused(do="drag.begin", edit=7)
-        await page.do(do="drag.begin", edit=1)
-        await other.move(REST * 4)  # not the one that began
-        assert await other.refused(do="drag.end", edit=1) == server.STRAYED
-        await page.move(REST * 5, edit=2)
-        await page.move(REST[:-1])
-        await page.move(REST * np.nan)
-        await page.move(REST * 1e300)
-        await page.until(lambda: len(page.notices) == 5)
-        await page.do(do="drag.begin", edit=1)  # again, without an end
-        await page.move(REST * 1.5)
-        await page.do(do="drag.end", cancel=True)
-        await page.do(do="preset.begin", edit=1, vertices=None)
-        await page.refused(do="preset.set", preset="bend", amount=1e308)
-        await page.do(do="preset.set", preset="stretch", amount=2, axis="z")
-        await page.do(do="preset.end", cancel=False)
-        assert [label for label, _ in host.session.history.undo_steps] == ["stretch"]
-        await page.until(lambda: np.isclose(np.ptp(page.posed()[:, 2]), 2 * np.ptp(REST[:, 2])))
-
-    with_pages(test, tmp_path, 2)
+@on_pages
+async def test_gestures_out_of_order_are_refused_or_ignored(host, page, other):
+    await page.move(REST * 3)
+    assert await page.refused(do="drag.end", edit=1) == server.STRAYED
+    assert await page.refused(do="drag.begin", edit=7)
+    await page.do(do="drag.begin", edit=1)
+    await other.move(REST * 4)  # not the one that began
+    assert await other.refused(do="drag.end", edit=1) == server.STRAYED
+    await page.move(REST * 5, edit=2)
+    await page.move(REST[:-1])
+    await page.move(REST * np.nan)
+    await page.move(REST * 1e300)
+    await page.until(lambda: len(page.notices) == 5)
+    await page.do(do="drag.begin", edit=1)  # again, without an end
+    await page.move(REST * 1.5)
+    await page.do(do="drag.end", cancel=True)
+    await page.do(do="preset.begin", edit=1, vertices=None)
+    await page.refused(do="preset.set", preset="bend", amount=1e308)
+    await page.do(do="preset.set", preset="stretch", amount=2, axis="z")
+    await page.do(do="preset.end", cancel=False)
+    assert [label for label, _ in host.session.history.undo_steps] == ["stretch"]
+    await page.until(lambda: np.isclose(np.ptp(page.posed()[:, 2]), 2 * np.ptp(REST[:, 2])))
 
 
 def test_pages_that_vanish_leave_nothing_and_lose_nothing(tmp_path):
@@ -147,20 +139,15 @@ def test_pages_that_vanish_leave_nothing_and_lose_nothing(tmp_path):
     with_pages(test_and_close, tmp_path)
 
 
-def test_connections_that_end_before_the_first_word_leave_nothing(tmp_path):
-    async def test(host, page):
-        for _ in range(20):
-            _reader, writer = await asyncio.open_connection("127.0.0.1", host.port)
-            key = (
-                "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: "
-                + "A" * 22
-            )
-            writer.write(f"GET /{host.token}/socket HTTP/1.1\r\nHost: localhost\r\n{key}==\r\n\r\n".encode())
-            writer.transport.abort()
-        await page.refused(do="nothing")
-        await page.until(lambda: len(host.clients) == host.connected == page.sections["session"]["pages"] == 1)
-
-    with_pages(test, tmp_path)
+@on_pages
+async def test_connections_that_end_before_the_first_word_leave_nothing(host, page):
+    for _ in range(20):
+        _reader, writer = await asyncio.open_connection("127.0.0.1", host.port)
+        key = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: " + "A" * 22
+        writer.write(f"GET /{host.token}/socket HTTP/1.1\r\nHost: localhost\r\n{key}==\r\n\r\n".encode())
+        writer.transport.abort()
+    await page.refused(do="nothing")
+    await page.until(lambda: len(host.clients) == host.connected == page.sections["session"]["pages"] == 1)
 
 
 def test_no_more_pages_than_there_is_room_for(tmp_path, monkeypatch):
@@ -206,133 +193,121 @@ def test_a_page_that_reads_nothing_is_not_listened_to_before_it_does(tmp_path, m
     with_pages(test, tmp_path, 2)
 
 
-def test_a_page_that_never_says_what_it_has_seen_gets_no_more_than_two_frames_at_once(tmp_path):
-    async def test(host, page):
-        page.sees = False
-        (client,) = host.clients.values()
-        await page.do(do="drag.begin", edit=1)
-        for factor in np.linspace(1, 1.5, 20):
-            count = host.renderer.frames
-            await page.move(REST * factor)
-            await page.do(do="seen", frame=0)
-            while host.renderer.frames == count:
-                await asyncio.sleep(0.005)
-            assert len(client.sent_frames) <= clients.FRAMES_UNDER_WAY
-        await page.do(do="drag.end")
-        page.sees = True
-        last = page.frames[-1]["frame"]
-        await page.do(do="seen", frame=last)
-        await page.until(lambda: page.frames[-1]["applied"]["1"] == 20 and page.frames[-1]["sharp"])
-
-    with_pages(test, tmp_path)
-
-
-def test_the_latest_pose_wins(tmp_path):
-    async def test(host, page):
-        await page.until(lambda: page.frames and page.frames[-1]["sharp"])
-        gate, show, shown = threading.Event(), host.renderer.show, []
-
-        def slow(request, sharp):
-            shown.append(request.applied[1])
-            assert gate.wait(WAIT)
-            show(request, sharp)
-
-        host.renderer.show = slow
-        await page.do(do="drag.begin", edit=1)
-        await page.move(REST * 1.01)
-        while not shown:
+@on_pages
+async def test_a_page_that_never_says_what_it_has_seen_gets_no_more_than_two_frames_at_once(host, page):
+    page.sees = False
+    (client,) = host.clients.values()
+    await page.do(do="drag.begin", edit=1)
+    for factor in np.linspace(1, 1.5, 20):
+        count = host.renderer.frames
+        await page.move(REST * factor)
+        await page.do(do="seen", frame=0)
+        while host.renderer.frames == count:
             await asyncio.sleep(0.005)
-        for factor in np.linspace(1.02, 1.5, 49):
-            await page.move(REST * factor)
-        await page.do(do="seen", frame=1)  # all have been taken
-        gate.set()
-        await page.until(lambda: page.frames[-1]["applied"]["1"] == 50)
-        assert shown[:2] == [1, 50], shown
-        await page.do(do="drag.end")
-
-    with_pages(test, tmp_path)
+        assert len(client.sent_frames) <= clients.FRAMES_UNDER_WAY
+    await page.do(do="drag.end")
+    page.sees = True
+    last = page.frames[-1]["frame"]
+    await page.do(do="seen", frame=last)
+    await page.until(lambda: page.frames[-1]["applied"]["1"] == 20 and page.frames[-1]["sharp"])
 
 
-def test_a_film_plays_stops_for_a_hand_and_ends_with_the_last_page(tmp_path):
-    async def test(host, page, other):
-        await page.do(do="key.add", time=0.0, pose=True)
-        await page.do(do="time", time=1.0)
-        await page.do(do="pose.set", edit=1, vertices=(REST * 1.5).tolist())
-        await page.do(do="key.add", time=1.0, pose=True)
-        await page.do(do="timeline", length=1.0, loop="ping-pong")
-        steps = len(host.session.history.undo_steps)
-        await other.do(do="play", on=True)
-        await page.until(lambda: page.sections["playback"]["playing"])
-        await page.until(lambda: 1.01 < page.posed()[7, 0] / REST[7, 0] < 1.49)
-        await page.do(do="settings", background="white")  # which does not stop it
-        assert host.player.playing
-        await page.do(do="drag.begin", edit=1)
-        await other.until(lambda: not other.sections["playback"]["playing"])
-        await page.do(do="drag.end")
-        assert len(host.session.history.undo_steps) == steps + 1
-        await page.refused(do="play", on=1)
-        await page.do(do="play", on=True)
-        for one in (page, other):
-            await one.socket.close()
-        while host.clients:
-            await asyncio.sleep(0.005)
-        assert not host.player.playing
+@on_pages
+async def test_the_latest_pose_wins(host, page):
+    await page.until(lambda: page.frames and page.frames[-1]["sharp"])
+    gate, show, shown = threading.Event(), host.renderer.show, []
 
-    with_pages(test, tmp_path, 2)
+    def slow(request, sharp):
+        shown.append(request.applied[1])
+        assert gate.wait(WAIT)
+        show(request, sharp)
+
+    host.renderer.show = slow
+    await page.do(do="drag.begin", edit=1)
+    await page.move(REST * 1.01)
+    while not shown:
+        await asyncio.sleep(0.005)
+    for factor in np.linspace(1.02, 1.5, 49):
+        await page.move(REST * factor)
+    await page.do(do="seen", frame=1)  # all have been taken
+    gate.set()
+    await page.until(lambda: page.frames[-1]["applied"]["1"] == 50)
+    assert shown[:2] == [1, 50], shown
+    await page.do(do="drag.end")
 
 
-def test_a_film_plays_from_its_start_where_no_key_lies_ahead(tmp_path):
-    async def test(host, page):
-        await page.do(do="key.add", time=0.0, pose=True)
-        await page.do(do="time", time=1.0)
-        await page.do(do="pose.set", edit=1, vertices=(REST * 1.5).tolist())
-        await page.do(do="key.add", time=1.0, pose=True)
-        await page.do(do="time", time=1.5)  # the film is 4 s long: still pictures alone from here on
-        await page.do(do="play", on=True)
-        await page.until(lambda: 1.01 < page.posed()[7, 0] / REST[7, 0] < 1.49)
-        await page.do(do="play", on=False)
+@on_pages
+async def test_a_film_plays_stops_for_a_hand_and_ends_with_the_last_page(host, page, other):
+    await page.do(do="key.add", time=0.0, pose=True)
+    await page.do(do="time", time=1.0)
+    await page.do(do="pose.set", edit=1, vertices=(REST * 1.5).tolist())
+    await page.do(do="key.add", time=1.0, pose=True)
+    await page.do(do="timeline", length=1.0, loop="ping-pong")
+    steps = len(host.session.history.undo_steps)
+    await other.do(do="play", on=True)
+    await page.until(lambda: page.sections["playback"]["playing"])
+    await page.until(lambda: 1.01 < page.posed()[7, 0] / REST[7, 0] < 1.49)
+    await page.do(do="settings", background="white")  # which does not stop it
+    assert host.player.playing
+    await page.do(do="drag.begin", edit=1)
+    await other.until(lambda: not other.sections["playback"]["playing"])
+    await page.do(do="drag.end")
+    assert len(host.session.history.undo_steps) == steps + 1
+    await page.refused(do="play", on=1)
+    await page.do(do="play", on=True)
+    for one in (page, other):
+        await one.socket.close()
+    while host.clients:
+        await asyncio.sleep(0.005)
+    assert not host.player.playing
 
-    with_pages(test, tmp_path)
+
+@on_pages
+async def test_a_film_plays_from_its_start_where_no_key_lies_ahead(host, page):
+    await page.do(do="key.add", time=0.0, pose=True)
+    await page.do(do="time", time=1.0)
+    await page.do(do="pose.set", edit=1, vertices=(REST * 1.5).tolist())
+    await page.do(do="key.add", time=1.0, pose=True)
+    await page.do(do="time", time=1.5)  # the film is 4 s long: still pictures alone from here on
+    await page.do(do="play", on=True)
+    await page.until(lambda: 1.01 < page.posed()[7, 0] / REST[7, 0] < 1.49)
+    await page.do(do="play", on=False)
 
 
-def test_a_film_that_cannot_go_on_stops(tmp_path, monkeypatch):
-    async def test(host, page):
-        def scrub(time):
-            raise ValueError("no such pose")
+@on_pages
+async def test_a_film_that_cannot_go_on_stops(host, page, monkeypatch):
+    def scrub(time):
+        raise ValueError("no such pose")
 
-        monkeypatch.setattr(host.session, "scrub", scrub)
-        await page.do(do="play", on=True)
-        await page.until(lambda: not page.sections["playback"]["playing"])
-        assert not host.player.playing
-
-    with_pages(test, tmp_path)
+    monkeypatch.setattr(host.session, "scrub", scrub)
+    await page.do(do="play", on=True)
+    await page.until(lambda: not page.sections["playback"]["playing"])
+    assert not host.player.playing
 
 
 # -- Checks, jobs and what takes long
 
 
-def test_the_check_follows_the_active_cage_and_says_why_it_cannot(tmp_path, monkeypatch):
-    async def test(host, page):
-        await page.until(lambda: page.sections["check"] and not page.sections["check"]["pending"])  # without a touch
-        assert page.sections["check"]["edit"] == 1 and page.sections["check"]["problem"] == ""
-        await page.drag(REST * [-1, 1, 1])
-        await page.until(lambda: "posed cage" in page.sections["check"]["problem"])
-        await page.do(do="settings", mode="rest")
-        await page.until(lambda: page.sections["check"]["problem"] == "" and not page.sections["check"]["pending"])
-        await page.do(do="edit.delete", id=1)
-        await page.until(lambda: page.sections["check"] is None)
-        await page.do(do="undo")
-        await page.until(lambda: page.sections["check"] and not page.sections["check"]["pending"])
+@on_pages
+async def test_the_check_follows_the_active_cage_and_says_why_it_cannot(host, page, monkeypatch):
+    await page.until(lambda: page.sections["check"] and not page.sections["check"]["pending"])  # without a touch
+    assert page.sections["check"]["edit"] == 1 and page.sections["check"]["problem"] == ""
+    await page.drag(REST * [-1, 1, 1])
+    await page.until(lambda: "posed cage" in page.sections["check"]["problem"])
+    await page.do(do="settings", mode="rest")
+    await page.until(lambda: page.sections["check"]["problem"] == "" and not page.sections["check"]["pending"])
+    await page.do(do="edit.delete", id=1)
+    await page.until(lambda: page.sections["check"] is None)
+    await page.do(do="undo")
+    await page.until(lambda: page.sections["check"] and not page.sections["check"]["pending"])
 
-        def fail(*_):
-            raise MemoryError
+    def fail(*_):
+        raise MemoryError
 
-        monkeypatch.setattr(inspection, "inspect", fail)
-        await page.drag(REST * 1.1)
-        await page.until(lambda: "not enough memory" in page.sections["check"]["problem"])
-        assert page.sections["check"]["pending"] is False
-
-    with_pages(test, tmp_path)
+    monkeypatch.setattr(inspection, "inspect", fail)
+    await page.drag(REST * 1.1)
+    await page.until(lambda: "not enough memory" in page.sections["check"]["problem"])
+    assert page.sections["check"]["pending"] is False
 
 
 def test_a_cage_around_the_object_that_is_clicked(tmp_path):
@@ -418,7 +393,7 @@ def test_closing_waits_for_no_hand_and_saves_what_it_moved(tmp_path):
     assert len(edit.rest) == 26
 
 
-def test_a_page_is_heard_while_its_file_is_read(tmp_path, monkeypatch):
+def test_a_page_is_served_while_its_file_is_read(tmp_path, monkeypatch):
     BOX.save(tmp_path / "cage.obj")
     started, go = threading.Event(), threading.Event()
 

@@ -1,5 +1,6 @@
 """Pictures of the editor: what is sent of a frame, bands, efforts, and the thread that renders the newest document."""
 
+import contextlib
 import dataclasses
 import json
 import struct
@@ -173,6 +174,24 @@ class Shown:
             assert self.news.wait_for(lambda: any(map(condition, self.headers)), 120)
             return next(header for header in self.headers if condition(header))
 
+    def picture(self, header):
+        """What was delivered with a header, decoded."""
+        message = self.messages[self.headers.index(header)]
+        _, text, jpeg, _ = struct.unpack_from("<4I", message)
+        begin = 16 + text + (-text) % 8
+        return simplejpeg.decode_jpeg(message[begin : begin + jpeg]) / 255.0
+
+
+@contextlib.contextmanager
+def rendering(field):
+    """A renderer of a field, and what it delivers."""
+    shown = Shown()
+    renderer = Renderer(field, shown)
+    try:
+        yield renderer, shown
+    finally:
+        renderer.close()
+
 
 @pytest.fixture
 def document(device):
@@ -194,18 +213,11 @@ def bent(document, degrees):
 def test_a_sharp_picture_is_the_frame_of_the_settings(document):
     field, scene = document
     posed = bent(scene, 30.0)
-    shown = Shown()
-    renderer = Renderer(field, shown)
-    try:
+    with rendering(field) as (renderer, shown):
         renderer.request(request(posed, number=7))
         header = shown.wait(lambda header: header["sharp"])
-    finally:
-        renderer.close()
     assert (header["width"], header["height"], header["applied"]) == (48, 32, {"1": 7})
-    message = shown.messages[shown.headers.index(header)]
-    _, text, jpeg, _ = struct.unpack_from("<4I", message)
-    begin = 16 + text + (-text) % 8
-    picture = simplejpeg.decode_jpeg(message[begin : begin + jpeg]) / 255.0
+    picture = shown.picture(header)
     edit = posed.edits[0]
     deformer = warpcage.Deformer(field, edit.rest_cage, resolution=16).pose(edit.posed_cage)
     assert warpcage.psnr(picture, deformer.render(view_camera(posed.view, 48, 32)).rgb) > 33.0
@@ -238,20 +250,16 @@ def test_the_newest_request_wins(document, monkeypatch):
     assert {header["applied"]["1"] for header in shown.headers} <= {1, 29}
 
 
-def test_a_pose_that_cannot_be_used_is_told_and_the_next_one_shown(document):
+def test_a_pose_that_cannot_be_used_is_reported_and_the_next_one_shown(document):
     field, scene = document
     edit = scene.edits[0]
     flat = scene.with_edit(dataclasses.replace(edit, posed=edit.rest * [1.0, 1.0, 0.0]))
-    shown = Shown()
-    renderer = Renderer(field, shown)
-    try:
+    with rendering(field) as (renderer, shown):
         renderer.request(request(flat, number=1))
         complaint = shown.wait(lambda header: header["error"])
         assert "\n" not in complaint["error"] and complaint["applied"] == {"1": 1}
         renderer.request(request(scene, number=2))
         shown.wait(lambda header: header["sharp"] and header["applied"] == {"1": 2})
-    finally:
-        renderer.close()
 
 
 def test_what_a_pose_hangs_on(document):
@@ -272,15 +280,11 @@ def test_what_a_pose_hangs_on(document):
 def test_depths_of_a_sharp_picture_are_as_many_in_bands_as_in_one(document, seconds):
     """A page takes them for those of one picture, whatever bands a slow CPU has cut it in."""
     field, scene = document
-    shown = Shown()
-    renderer = Renderer(field, shown)
     wanted = Request(scene, 300, 220, False, {1: 1})
-    try:
+    with rendering(field) as (renderer, shown):
         renderer.pace.sharp_seconds = lambda effort, coordinates: seconds  # bands are cut by what it is thought to take
         renderer.request(wanted)
         header = shown.wait(lambda header: header["sharp"])
-    finally:
-        renderer.close()
     columns, rows = depth_size(300, 220, 256)
     assert (header["depth"]["width"], header["depth"]["height"]) == (columns, rows)
     message = shown.messages[shown.headers.index(header)]
@@ -291,32 +295,21 @@ def test_depths_of_a_sharp_picture_are_as_many_in_bands_as_in_one(document, seco
 
 def sharp(field, document, **settings):
     """Header and decoded picture of a sharp picture."""
-    shown = Shown()
-    renderer = Renderer(field, shown)
-    try:
+    with rendering(field) as (renderer, shown):
         changed = dataclasses.replace(document, settings=dataclasses.replace(document.settings, **settings))
         renderer.request(Request(changed, 48, 48, False, {}))
         header = shown.wait(lambda header: header["error"] or header["sharp"])
-    finally:
-        renderer.close()
     assert not header["error"], header["error"]
-    message = shown.messages[shown.headers.index(header)]
-    _, text, jpeg, _ = struct.unpack_from("<4I", message)
-    begin = 16 + text + (-text) % 8
-    return header, simplejpeg.decode_jpeg(message[begin : begin + jpeg]) / 255.0
+    return header, shown.picture(header)
 
 
 def test_a_fade_without_a_wall_is_reported(device):
     field = make_field(boxes(INSIDE, NUB), plain([0.8, 0.3, 0.1]), device=device)
     scene, whole = new_document(field, [PART], 16), PART.scale(2.4)
     edit = dataclasses.replace(scene.edits[0], falloff=0.2, rest=whole.vertices, posed=whole.vertices)
-    shown = Shown()
-    renderer = Renderer(field, shown)
-    try:
+    with rendering(field) as (renderer, shown):
         renderer.request(Request(scene.with_edit(edit), 48, 48, False, {}))
         error = shown.wait(lambda header: header["error"])["error"]
-    finally:
-        renderer.close()
     assert "has a fade, but no side of its cage cuts through" in error and repr(edit.name) in error
 
 

@@ -12,7 +12,7 @@ import pytest
 aiohttp = pytest.importorskip("aiohttp")
 pytest.importorskip("hypothesis")
 
-from editor_pages import BOX, WAIT, new_session, run, status, tiny_field, with_pages
+from editor_pages import BOX, WAIT, new_session, on_pages, run, status, tiny_field, with_pages
 from editor_pages import nothing_logged as _nothing_logged  # noqa: F401 (a fixture for all tests)
 
 from warpcage import PoseFile
@@ -24,27 +24,23 @@ REST = BOX.vertices
 # -- Who gets in
 
 
-def test_only_the_token_opens_pages_sockets_and_files(tmp_path):
-    async def test(host, http):
-        root = f"http://127.0.0.1:{host.port}"
-        other = "x" * len(host.token)
-        for path in ("", "index.html", "socket", "download/film.mp4", "main.js"):
-            assert await status(http, host.address + path) in (
-                (404, 400) if "load" in path or "socket" in path else (200,)
-            )
-            for token in (other, host.token[:-1], host.token + "x", host.token.swapcase(), "", "%FF", "%00", "."):
-                assert await status(http, f"{root}/{token}/{path}") in (403, 404), (token, path)
-        assert await status(http, f"{root}/{other}/upload", method="POST", data=b"x") == 403
-        assert await status(http, root) == 403
-        for method in ("POST", "PUT", "DELETE", "OPTIONS", "TRACE"):
-            assert await status(http, host.address, method=method) in (403, 405)
-        with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
-            await http.ws_connect(f"{root}/{other}/socket")
-        assert refused.value.status == 403
-        async with http.get(f"{root}/{host.token}", allow_redirects=False) as answer:
-            assert (answer.status, answer.headers["Location"]) == (302, f"/{host.token}/")
-
-    run(test, tmp_path)
+@on_pages
+async def test_only_the_token_opens_pages_sockets_and_files(host, http):
+    root = f"http://127.0.0.1:{host.port}"
+    other = "x" * len(host.token)
+    for path in ("", "index.html", "socket", "download/film.mp4", "main.js"):
+        assert await status(http, host.address + path) in ((404, 400) if "load" in path or "socket" in path else (200,))
+        for token in (other, host.token[:-1], host.token + "x", host.token.swapcase(), "", "%FF", "%00", "."):
+            assert await status(http, f"{root}/{token}/{path}") in (403, 404), (token, path)
+    assert await status(http, f"{root}/{other}/upload", method="POST", data=b"x") == 403
+    assert await status(http, root) == 403
+    for method in ("POST", "PUT", "DELETE", "OPTIONS", "TRACE"):
+        assert await status(http, host.address, method=method) in (403, 405)
+    with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+        await http.ws_connect(f"{root}/{other}/socket")
+    assert refused.value.status == 403
+    async with http.get(f"{root}/{host.token}", allow_redirects=False) as answer:
+        assert (answer.status, answer.headers["Location"]) == (302, f"/{host.token}/")
 
 
 HOSTS = [
@@ -61,35 +57,31 @@ HOSTS = [
 
 
 @pytest.mark.parametrize(("name", "welcome"), HOSTS)
-def test_a_foreign_host_name_is_refused(tmp_path, name, welcome):
-    async def test(host, http):
-        for named in (name, f"{name}:{host.port}"):
-            assert (await status(http, host.address, headers={"Host": named}) == 200) == welcome
-
-    run(test, tmp_path)
+@on_pages
+async def test_a_foreign_host_name_is_refused(host, http, name, welcome):
+    for named in (name, f"{name}:{host.port}"):
+        assert (await status(http, host.address, headers={"Host": named}) == 200) == welcome
 
 
 ORIGINS = ["http://evil.example", "null", "http://127.0.0.1:1", "http://[", "http://localhost.evil.example", "file://"]
 
 
 @pytest.mark.parametrize("origin", ORIGINS)
-def test_a_page_of_another_origin_can_do_nothing_even_with_the_token(tmp_path, origin):
-    async def test(host, http):
-        headers = {"Origin": origin}
-        assert await status(http, host.address, headers=headers) == 403
-        sent = form("cage.obj")
-        sent["headers"] |= headers
-        assert await status(http, host.address + "upload", method="POST", **sent) == 403
-        with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
-            await http.ws_connect(host.address + "socket", headers=headers)
-        assert refused.value.status == 403
-        own = {"Origin": f"http://127.0.0.1:{host.port}"}
-        await (await http.ws_connect(host.address + "socket", headers=own)).close()
-
-    run(test, tmp_path)
+@on_pages
+async def test_a_page_of_another_origin_can_do_nothing_even_with_the_token(host, http, origin):
+    headers = {"Origin": origin}
+    assert await status(http, host.address, headers=headers) == 403
+    sent = form("cage.obj")
+    sent["headers"] |= headers
+    assert await status(http, host.address + "upload", method="POST", **sent) == 403
+    with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+        await http.ws_connect(host.address + "socket", headers=headers)
+    assert refused.value.status == 403
+    own = {"Origin": f"http://127.0.0.1:{host.port}"}
+    await (await http.ws_connect(host.address + "socket", headers=own)).close()
 
 
-def test_names_and_addresses_that_were_told_are_welcome(tmp_path):
+def test_names_and_addresses_that_are_allowed_are_welcome(tmp_path):
     async def test(host, http):
         answers = {name: await status(http, host.address, headers={"Host": name}) for name, _ in allowed}
         assert answers == {name: 200 if welcome else 403 for name, welcome in allowed}
@@ -100,38 +92,34 @@ def test_names_and_addresses_that_were_told_are_welcome(tmp_path):
     run(test, tmp_path, host="0.0.0.0")
 
 
-def test_every_answer_says_what_a_page_may_do(tmp_path):
-    async def test(host, http):
-        for path in ("", "main.js", "no.js", "socket", "../", "/"):
-            async with http.get(host.address + path) as answer:
-                policy = answer.headers["Content-Security-Policy"]
-                assert "default-src 'self'" in policy and "unsafe" not in policy and "frame-ancestors" in policy
-                assert answer.headers["X-Content-Type-Options"] == "nosniff"
-                assert answer.headers["Referrer-Policy"] == "no-referrer"
-
-    run(test, tmp_path)
+@on_pages
+async def test_every_answer_says_what_a_page_may_do(host, http):
+    for path in ("", "main.js", "no.js", "socket", "../", "/"):
+        async with http.get(host.address + path) as answer:
+            policy = answer.headers["Content-Security-Policy"]
+            assert "default-src 'self'" in policy and "unsafe" not in policy and "frame-ancestors" in policy
+            assert answer.headers["X-Content-Type-Options"] == "nosniff"
+            assert answer.headers["Referrer-Policy"] == "no-referrer"
 
 
-def test_bytes_that_are_no_http_end_in_no_500(tmp_path):
-    async def test(host, http):
-        for request in (
-            b"GET /\xff\xfe/ HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
-            b"GET / HTTP/1.0\r\n\r\n",
-            b"GET http://evil/ HTTP/1.1\r\nHost: [\r\n\r\n",
-            f"GET /{host.token}/ HTTP/1.0\r\n\r\n".encode(),
-            f"GET /{host.token}/ HTTP/1.1\r\nHost: [::1\r\nOrigin: http://[\r\n\r\n".encode(),
-            f"GET /{host.token}/%ed%a0%80 HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode(),
-            f"GET /{host.token}/socket HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\n\r\n".encode(),
-            b"\x16\x03\x01\x02\x00",
-        ):
-            reader, writer = await asyncio.open_connection("127.0.0.1", host.port)
-            writer.write(request)
-            writer.write_eof()
-            answer = await asyncio.wait_for(reader.read(), WAIT)
-            writer.close()
-            assert b"200 OK" not in answer[:20] and b" 500 " not in answer[:20], answer[:100]
-
-    run(test, tmp_path)
+@on_pages
+async def test_bytes_that_are_no_http_end_in_no_500(host, http):
+    for request in (
+        b"GET /\xff\xfe/ HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+        b"GET / HTTP/1.0\r\n\r\n",
+        b"GET http://evil/ HTTP/1.1\r\nHost: [\r\n\r\n",
+        f"GET /{host.token}/ HTTP/1.0\r\n\r\n".encode(),
+        f"GET /{host.token}/ HTTP/1.1\r\nHost: [::1\r\nOrigin: http://[\r\n\r\n".encode(),
+        f"GET /{host.token}/%ed%a0%80 HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode(),
+        f"GET /{host.token}/socket HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\n\r\n".encode(),
+        b"\x16\x03\x01\x02\x00",
+    ):
+        reader, writer = await asyncio.open_connection("127.0.0.1", host.port)
+        writer.write(request)
+        writer.write_eof()
+        answer = await asyncio.wait_for(reader.read(), WAIT)
+        writer.close()
+        assert b"200 OK" not in answer[:20] and b" 500 " not in answer[:20], answer[:100]
 
 
 # -- Files

@@ -327,7 +327,7 @@ def full_disk(path, *_, **__):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 
-def test_a_full_disk_while_saving_loses_nothing_and_is_told(tmp_path, monkeypatch):
+def test_a_full_disk_while_saving_loses_nothing_and_is_reported(tmp_path, monkeypatch):
     path = tmp_path / "ball.session.json"
     session = new_session(path)
     session.save()
@@ -343,7 +343,7 @@ def test_a_full_disk_while_saving_loses_nothing_and_is_told(tmp_path, monkeypatc
     np.testing.assert_array_equal(read(path).edits[0].posed, REST * 1.1)
 
 
-def test_pages_are_told_that_the_disk_is_full_and_that_it_is_not(tmp_path, monkeypatch):
+def test_pages_show_that_the_disk_is_full_and_that_it_is_not(tmp_path, monkeypatch):
     monkeypatch.setattr("warpcage.studio.editor.server.SAVE_SECONDS", 0.01)
     path = tmp_path / "ball.session.json"
 
@@ -395,7 +395,7 @@ def test_a_file_that_was_deleted_is_written_again(tmp_path):
     np.testing.assert_array_equal(read(path).edits[0].posed, REST * 1.1)
 
 
-def test_pages_are_told_when_another_program_wrote_the_file(tmp_path, monkeypatch):
+def test_pages_show_when_another_program_wrote_the_file(tmp_path, monkeypatch):
     monkeypatch.setattr("warpcage.studio.editor.server.SAVE_SECONDS", 0.01)
     path = tmp_path / "ball.session.json"
 

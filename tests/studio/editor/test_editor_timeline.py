@@ -246,7 +246,7 @@ def test_keys_go_through_a_pose_file_to_the_bit(tmp_path):
     assert all(np.array_equal(pose_at(loaded, t), pose_at(document, t)) for t in np.linspace(0, 3, 13))
 
 
-def test_pose_files_without_times_are_spread_and_equal_names_are_told_apart():
+def test_pose_files_without_times_are_spread_and_equal_names_get_numbers():
     plain = PoseFile(CAGE, {"a": POSES[0], "b": POSES[1], "c": POSES[2]})
     loaded = with_pose_file(film(length=3.0), 1, plain)
     assert [(k.time, k.name, k.easing) for k in loaded.timeline.keys] == [

@@ -190,7 +190,7 @@ def test_cages_of_a_placed_object_are_posed_in_its_own_coordinates(window: Windo
     until(lambda: np.allclose(editor.posed[0].vertices, CAGE.vertices + [0.4, 0, 0], atol=1e-9), "along its own x")
 
 
-def test_a_new_object_outside_the_view_is_told_and_brought_in(window: Window, editor: Any, green: str) -> None:
+def test_a_new_object_outside_the_view_is_reported_and_brought_in(window: Window, editor: Any, green: str) -> None:
     looks_cheap(window)
     window.press("K")
     window.wait("warpcage.store.sections.timeline.keys.length === 1")

@@ -118,7 +118,7 @@ def test_drawn_poses_of_one_meaning_are_one_pose():
         assert posed(**other).order[0] == posed().order[0] and posed(**other).order[1] != posed().order[1]
 
 
-def test_the_words_of_an_edit_are_those_of_a_cage_edit():
+def test_the_keys_of_an_edit_are_those_of_a_cage_edit():
     names = set(CageEdit.__dataclass_fields__) - {"cage", "keep_source"} | {"keep"}
     assert names <= set(FrameItem.known())
 
@@ -291,7 +291,7 @@ WORDS = sorted({word for maker in Item.kinds.values() for word in maker.known()}
     st.dictionaries(st.sampled_from(WORDS), anything, max_size=2),
 )
 @example(FRAME, {"antialias": None}, {"moments": [None]})
-def test_any_words_make_an_item_or_one_line(entry, argv, defaults):
+def test_any_keys_make_an_item_or_one_line(entry, argv, defaults):
     try:
         item = Item.from_json(entry | argv, defaults)
     except ValueError as error:

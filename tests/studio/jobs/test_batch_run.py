@@ -336,7 +336,7 @@ def test_names_in_any_script(tmp_path):
     assert run_with(path, out).kept == 3
 
 
-def test_progress_tells_how_far_it_is(files, tmp_path):
+def test_progress_says_how_far_it_is(files, tmp_path):
     states = []
     report = warpcage.studio.jobs.run_jobs(files / "jobs.jsonl", tmp_path / "out", device="cpu", progress=states.append)
     assert report.made == 12 and report.complete and warpcage.run_jobs is warpcage.studio.jobs.run_jobs

@@ -155,7 +155,7 @@ def test_shards_of_drawn_poses_are_those_of_written_ones(files, tmp_path):
             assert json.loads(one["json"])["edits"][0]["posed"]["random"]["number"] == shard
 
 
-def test_a_run_makes_those_drawn_poses_again_whose_words_or_cage_changed(files, tmp_path):
+def test_a_run_makes_those_drawn_poses_again_whose_spec_or_cage_changed(files, tmp_path):
     for name in ("ball.npz", "cage.obj", "cameras.json"):
         shutil.copy(files / name, tmp_path / name)
     path = tmp_path / "job" / "sweep.jsonl"
