@@ -9,14 +9,14 @@ import json
 import pathlib
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from ...cage.pose_file import DEFAULT_RATE, PoseFile
 from ...core.files import check_parent, require_file
-from ...core.names import counted
+from ...core.names import TRANSPARENT, counted
 from ...core.reports import bar
 from ...core.spec import defaults_of, options_of, plain
 from ...edits.edits import MAX_CELLS
@@ -42,9 +42,8 @@ from ..jobs.items import ID
 from ..spec.film import FilmSpec
 from . import shared
 from .arguments import options
-from .arguments.render import OF_SESSIONS, Default
-from .cameras import camera_track, check_saved, image_size, save_cameras, warn_of_edges
-from .render import checked_opacity, seen_points, size_text, warn_of_masks
+from .cameras import camera_track, image_size, save_cameras, warn_of_edges
+from .render import check_target, size_text, warn_of_masks
 
 #: Endings of job files.
 JOB_ENDINGS = (".jsonl", ".json")
@@ -57,72 +56,83 @@ WITH_SESSION = (
     "command field output jobs session transparent background format overlay size scene_scale device quiet verbose"
 ).split()
 
+#: Options that a folder of frames names at their defaults too.
+NAMED = (
+    "frames motion interpolation turn show overlay coordinates resolution density map antialias fill scene_scale "
+    "background format loop fps"
+).split()
+
 
 def run_animate(args: argparse.Namespace) -> None:
     if args.session is not None:
-        _run_session(args)
-        return
-    given = {name for name in OF_SESSIONS if not isinstance(getattr(args, name), Default)}
-    for name in OF_SESSIONS:
-        default = getattr(args, name)
-        setattr(args, name, default.value if isinstance(default, Default) else default)
-    output = FRAMES if args.jobs is not None else checked_film_path(args.output, new=False)
-    check_parent(output)
-    jobs = None if args.jobs is None else checked_jobs_path(args.jobs)
-    here = jobs is None and args.workers is None
-    parts, kind = ({}, "") if here else frame_outputs(output, args.show, args.format)
-    _check(args, output)
-    device, scaled = args.device, args.show in ("depth", "disparity")  # by a few frames, which are rendered
+        return _run_session(args)
+    if args.jobs is not None and args.workers is not None:
+        raise InputError("--workers does not go with --jobs: give it to warpcage run")
+    output, jobs = _targets(args, new=False)
+    given = set(options.given(args, *options_of(FilmSpec)))
+    here, spec = jobs is None and args.workers is None, shared.shot_of(args)
+    parts, kind = ({}, "") if here else frame_outputs(output, spec.show, spec.format)
+    if output.suffix:
+        checked_rate(spec.fps, output.suffix.lower())
+    device, scaled = args.device, spec.show in ("depth", "disparity")  # by a few frames, which are rendered
     if not here and not scaled:
         args.device = "cpu"
     if not here and (args.add or shared.is_stage(args.field)):
         raise InputError("--workers and --jobs render one field: leave them out for a scene of several objects")
-    rate = args.fps if "fps" in given else None
-    reader = shared.edit_reader(args, args.interpolation, timed=not given & {"motion", "interpolation"}, fps=rate)
-    of_voxels = "--show masks" if args.show == "masks" else ""
+    if not here and spec.overlay and spec.show != "rgb":
+        raise InputError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {spec.show}")
+    timed = not given & {"motion", "interpolation"}
+    reader = shared.edit_reader(args, spec.interpolation, timed=timed, fps=args.fps)
+    of_voxels = "--show masks" if spec.show == "masks" else ""
     field, deformation, objects = shared.read_shot(args, reader, of_voxels=of_voxels)
     if not here and getattr(args, "is_moved", False):
         raise InputError(
             "--workers and --jobs render the field as its file has it: write it where its dataset is first, with "
             "warpcage bake --frame"
         )
-    timed: PoseFile | PlaceFile | None = None if deformation is None else deformation.film
-    if objects is not None and (timed is not None or deformation is None):  # poses without times keep to --frames
-        timed = objects.longest(timed)
-    set_frames(args, timed, given)
-    points = seen_points(field, deformation, args, objects)
-    timeline = Timeline(args.frames, args.fps, deformation, timed, args.loop, args.motion, args.interpolation)
-    shot = shared.shot_of(args)
+    keys: PoseFile | PlaceFile | None = None if deformation is None else deformation.film
+    if objects is not None and (keys is not None or deformation is None):  # poses without times keep to --frames
+        keys = objects.longest(keys)
+    spec = _in_time(spec, keys, given)
+    points = shared.seen_points(args, field, deformation, objects)
+    timeline = Timeline(spec.frames, spec.fps, deformation, keys, spec.loop, spec.motion, spec.interpolation)
     track, scene = camera_track(args, field, timeline, points), MovingScene(field, timeline, objects)
-    film = Film(args.frames, track, scene, Look.of(shot), args.shutter)
+    film = Film(spec.frames, track, scene, Look.of(spec), spec.shutter)
     cameras = film.cameras
     warn_of_edges(args, cameras[0], deformation)
     shared.set_lattice(args, cameras[0])
+    spec = dataclasses.replace(spec, resolution=args.resolution)
     if deformation is not None and (here or scaled):
         scene.render_by(shared.make_deformer(field, deformation, args))
 
-    save_cameras(args, cameras, args.fps)
+    save_cameras(args, cameras, spec.fps)
+    needs_settings = jobs is None and not (here and output.suffix)
+    settings = _settings(args, spec, cameras, deformation) if needs_settings else {}
     if here:
-        _render(args, film, scene, output)
-        return
-    if args.overlay and args.show != "rgb":
-        raise InputError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
-    shot = dataclasses.replace(shared.shot_of(args), disparity_scale=film.scale)
-    spec = shot.item_keys(deformed=deformation is not None) | {"outputs": parts}
-    rate = {"frames": args.frames, "fps": str(args.fps)}
-    job = FilmJob(args.field, spec, [] if deformation is None else deformation.edits, {"film": rate})
+        return _render(args, spec, film, scene, output, settings)
+    keys_of_items = dataclasses.replace(spec, disparity_scale=film.scale).item_keys(deformed=deformation is not None)
+    extra = {"film": {"frames": spec.frames, "fps": str(spec.fps)}}
+    edits = [] if deformation is None else deformation.edits
+    job, frames = FilmJob(args.field, keys_of_items | {"outputs": parts}, edits, extra), _described(film, timeline)
     if jobs is not None:
-        _say_jobs(jobs, job.write(jobs, _described(film, timeline)), cameras[0])
-        return
-    settings = _settings(args, cameras, deformation) | {"format": kind}
-    workers = {"workers": args.workers, "device": device, "quiet": args.quiet, "overwrite": bool(args.overwrite)}
-    team = FilmWorkers(job, list(_described(film, timeline)), settings, **workers)
+        return _write_job(jobs, job, frames, cameras[0])
+    workers = {"workers": args.workers, "device": device, "quiet": args.quiet, "overwrite": spec.overwrite}
+    team = FilmWorkers(job, list(frames), settings | {"format": kind}, **workers)
     kept = 0
     if output.suffix:
-        team.make_film(output, args.fps, loop=args.loop != "once")
+        team.make_film(output, spec.fps, loop=spec.loop != "once")
     else:
         kept = team.make_frames(output)
-    _say(film, scene, output, kept)
+    _print_written(film, scene, output, kept)
+
+
+def _targets(args: argparse.Namespace, new: bool = True) -> tuple[pathlib.Path, pathlib.Path | None]:
+    """Where the film or the folder is written, and its job file, both checked; new: as `checked_film_path` has it."""
+    jobs = None if args.jobs is None else options.check_output(args.jobs, JOB_ENDINGS, "job file")
+    output = checked_film_path(args.output, new=new) if jobs is None else FRAMES
+    check_parent(output)
+    check_target(args, output)
+    return output, jobs
 
 
 def _described(film: Film, timeline: Timeline) -> Iterator[FilmFrame]:
@@ -137,41 +147,23 @@ def _described(film: Film, timeline: Timeline) -> Iterator[FilmFrame]:
         yield FilmFrame(index, camera, poses(index), moments)
 
 
-def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, given: set[str]) -> None:
-    """Set number, rate and loop of the frames in `args` by the keys of a film, None leaves them as they were asked for.
+def _in_time(spec: FilmSpec, film: PoseFile | PlaceFile | None, given: set[str]) -> FilmSpec:
+    """A spec with number, rate and loop of the frames by the keys of a film; None leaves them as they were asked for.
     given: names of the options given."""
     if film is None:
-        if args.loop is not None:
+        if spec.loop is not None:
             raise InputError("--loop is for keys at times (a pose file with times, an animation): see --motion")
-        return
+        return spec
     if "frames" in given:
         raise InputError("--frames is not for keys at times, the last of which ends the film: use --fps")
-    args.loop = args.loop or film.loop or "once"
-    if "fps" not in given:
-        args.fps = motion.frame_rate(DEFAULT_RATE if film.fps is None else film.fps)
-    args.frames = len(motion.frame_times(film.length, args.fps, args.loop))
+    loop = spec.loop or film.loop or "once"
+    rate = spec.fps if "fps" in given else motion.frame_rate(DEFAULT_RATE if film.fps is None else film.fps)
+    return dataclasses.replace(spec, loop=loop, fps=rate, frames=len(motion.frame_times(film.length, rate, loop)))
 
 
-def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
-    """Raises ValueError for options that do not go together, before any long work."""
-    if args.jobs is not None and args.workers is not None:
-        raise InputError("--workers does not go with --jobs: give it to warpcage run")
-    check_saved(args)
-    if checked_opacity(args, output) and args.show != "rgb":
-        raise InputError(f"--show {args.show} has no opacity: leave out --background transparent")
-    if args.format == "exr" and args.show != "rgb":
-        raise InputError("--format exr holds colours, opacity and depth together: leave out --show")
-    if output.suffix:
-        checked_rate(args.fps, output.suffix.lower())
-    if args.overlay:
-        shared.require_deformation(args, "--overlay")
-    if args.show == "masks":
-        shared.require_deformation(args, "--show masks")
-    if args.shutter is not None and args.show != "rgb":
-        raise InputError(f"--shutter blurs colours: leave it out, or --show {args.show}")
-
-
-def _render(args: argparse.Namespace, film: Film, scene: MovingScene, output: pathlib.Path) -> None:
+def _render(
+    args: argparse.Namespace, spec: FilmSpec, film: Film, scene: MovingScene, output: pathlib.Path, settings: dict
+) -> None:
     """Render the film or the folder here."""
     kept = 0
 
@@ -181,18 +173,16 @@ def _render(args: argparse.Namespace, film: Film, scene: MovingScene, output: pa
 
     if output.suffix:
         with with_bar(range(film.count)) as numbers:
-            film.write(output, args.fps, loop=args.loop != "once", numbers=numbers)
+            film.write(output, spec.fps, loop=spec.loop != "once", numbers=numbers)
     else:
-        settings = _settings(args, film.cameras, scene.timeline.deformation)
-        if scene.objects is not None:
-            settings["objects"] = scene.objects.fingerprints()
-        kept = film.write_folder(output, settings, overwrite=bool(args.overwrite), reported=with_bar)
-    _say(film, scene, output, kept)
+        settings |= {} if scene.objects is None else {"objects": scene.objects.fingerprints()}
+        kept = film.write_folder(output, settings, overwrite=spec.overwrite, reported=with_bar)
+    _print_written(film, scene, output, kept)
     warn_of_masks(film.mask_shares, "the film")
 
 
-def _say(film: Film, scene: MovingScene, output: pathlib.Path, kept: int) -> None:
-    """Say what was written, a film or a folder in which some frames were kept."""
+def _print_written(film: Film, scene: MovingScene, output: pathlib.Path, kept: int) -> None:
+    """Print what was written: a film or a folder in which some frames were kept."""
     if not output.suffix:
         print(f"wrote {output}: {counted(film.count - kept, 'frame')}, {kept} were there already")
         return
@@ -202,7 +192,9 @@ def _say(film: Film, scene: MovingScene, output: pathlib.Path, kept: int) -> Non
         print(f"warpcage: nothing moves in this film: its {film.count} frames are equal", file=sys.stderr)
 
 
-def _say_jobs(path: pathlib.Path, count: int, camera: Camera) -> None:
+def _write_job(path: pathlib.Path, job: FilmJob, frames: Iterable[FilmFrame], camera: Camera) -> None:
+    """Write the job file of a film, and print how its frames are made."""
+    count = job.write(path, frames)
     make = shlex.join(["warpcage", "run", str(path), "-o", "frames"])
     print(f"wrote {path}: {counted(count, 'frame')} of {camera.width}x{camera.height}, made by: {make}")
 
@@ -211,19 +203,18 @@ def _run_session(args: argparse.Namespace) -> None:
     """The film of a session of the editor."""
     if args.workers is not None:
         raise InputError("--workers does not go with --session: write its --jobs, and give them to warpcage run")
-    if given := _given_besides(args):
-        raise InputError(f"--session cannot be combined with --{given[0].replace('_', '-')}: the session decides that")
-    jobs = None if args.jobs is None else checked_jobs_path(args.jobs)
-    output = FRAMES if jobs is not None else checked_film_path(args.output)
-    check_parent(output)
-    require_file(args.session, "session file")  # before a field is read, which takes a while
-    width, height = image_size(args) or DEFAULT_SIZE
+    for name, value in vars(args).items():
+        if value is not None and name not in WITH_SESSION:
+            raise InputError(f"--session cannot be combined with --{name.replace('_', '-')}: the session decides that")
     if args.format is not None:
         raise InputError("--session writes PNG files into a folder: leave --format out")
-    transparent = checked_opacity(args, output)
-    if args.background is not None and not transparent:
+    output, jobs = _targets(args)
+    require_file(args.session, "session file")  # before a field is read, which takes a while
+    width, height = image_size(args) or DEFAULT_SIZE
+    spec = shared.shot_of(args)
+    if spec.background not in (None, TRANSPARENT):
         raise InputError("--session cannot be combined with --background: the session decides that")
-    film = SessionFilm(width, height, bool(args.overlay), transparent)
+    film = SessionFilm(width, height, spec.overlay, spec.background == TRANSPARENT)
     if jobs is not None:
         args.device = "cpu"  # nothing is rendered
     field = require_voxels(shared.read_field(args), "--session")
@@ -231,9 +222,8 @@ def _run_session(args: argparse.Namespace) -> None:
     fields = read_fields(document, field, pathlib.Path(args.session).resolve().parent)
     if jobs is not None:
         require_alone(document, "--jobs")
-        job, frames = session_job(document, field, film, args.field, args.scene_scale)
-        _say_jobs(jobs, job.write(jobs, frames), view_camera(document.view, width, height))
-        return
+        job, frames = _session_job(document, field, film, args.field, spec.scene_scale)
+        return _write_job(jobs, job, frames, view_camera(document.view, width, height))
 
     with bar(len(frame_times(document.timeline)), "animate", shown=not args.quiet) as shown:
 
@@ -250,31 +240,14 @@ def _run_session(args: argparse.Namespace) -> None:
         )
 
 
-def _given_besides(args: argparse.Namespace) -> list[str]:
-    """The options that were given and do not go with --session."""
-    values = {name: value for name, value in vars(args).items() if name not in WITH_SESSION}
-    return [
-        name
-        for name, value in values.items()
-        if (not isinstance(value, Default) if name in OF_SESSIONS else value is not None)
-    ]
-
-
-#: Options that a folder of frames names at their defaults too.
-NAMED = (
-    "frames motion interpolation turn show overlay coordinates resolution density map antialias fill scene_scale "
-    "background format loop fps"
-).split()
-
-
-def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Deformation | None) -> dict:
+def _settings(args: argparse.Namespace, spec: FilmSpec, cameras: list[Camera], deformation: Deformation | None) -> dict:
     """All that decides how frames look, so that a folder never mixes two films."""
-    spec, defaults = shared.shot_of(args), defaults_of(FilmSpec)
+    defaults = defaults_of(FilmSpec)
     values = {name: getattr(spec, name) for name in options_of(FilmSpec) if name != "overwrite"}
     settings = {name: plain(value) for name, value in values.items() if name in NAMED or value != defaults[name]}
-    settings |= {"turn": args.turn, "cage_up": args.cage_up, "format": spec.format or "png"}
+    settings |= {"cage_up": args.cage_up, "format": spec.format or "png"}
     settings |= {"resolution": spec.deformer_options(MAX_CELLS)["resolution"], "fill": spec.fill or None}
-    settings |= {"fps": None if args.loop is None else str(args.fps)}
+    settings |= {"fps": None if spec.loop is None else str(spec.fps)}
     settings["size"] = [cameras[0].width, cameras[0].height]
     settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()
     settings["field"] = hashlib.sha256(pathlib.Path(args.field).read_bytes()).hexdigest()
@@ -282,13 +255,8 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
     return json.loads(json.dumps(settings))  # tuples as lists, as they come back from the file
 
 
-def checked_jobs_path(text: str) -> pathlib.Path:
-    """The path of a job file, once it is clear that one can be written there. Raises ValueError otherwise."""
-    return options.check_output(text, JOB_ENDINGS, "job file")
-
-
-def session_job(
-    document: Document, field: VoxelField, film: SessionFilm, path: str, scene_scale: float = 1.0
+def _session_job(
+    document: Document, field: VoxelField, film: SessionFilm, path: str, scene_scale: float
 ) -> tuple[FilmJob, Iterator[FilmFrame]]:
     """The job of a session's film, and its frames, which are those of `films.session.exports.film_pictures`.
     path: the field's file; scene_scale: as the field was loaded."""

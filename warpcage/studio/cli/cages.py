@@ -37,7 +37,7 @@ from ...select.selection import NodeSelection, select_nodes
 from ...splats.io import splat_path
 from ...splats.splat_field import load_field
 from ...view.camera import CameraKey
-from ..films.edits import Deformation, PosedEdit, read_edits_file, write_edits_file
+from ..films.edits import Deformation, read_edits_file, write_edits_file
 from ..films.render import require_voxels
 from ..films.resolve import AssetResolver, RestCage, ending
 from ..films.session_file import free_session_path, is_session, session_edits, session_path
@@ -51,6 +51,9 @@ if TYPE_CHECKING:
 
 #: Distance of a box or a cylinder from the object by default, as a share of the object's size.
 MARGIN = 0.03
+
+#: Options of `warpcage cage` that select a part of a field.
+PARTS = ("selection", "in_box", "masks", "seed", "parts", "floaters")
 
 #: Where sessions of the demo are kept, in the current folder.
 DEMO_FOLDER = pathlib.Path("warpcage-demo")
@@ -69,11 +72,10 @@ def run_cage(args: argparse.Namespace) -> None:
             raise InputError(f"--snap needs a field (.npz), got {args.field!r}")
         _snap(require_voxels(scene_object, "--snap"), args, output)
         return
-    if any(value is not None for value in _selection(args).values()):
+    if options.given(args, *PARTS):
         scene_object = _selected(scene_object, is_field, args)
     if args.box or args.cylinder:
-        mesh = extract_mesh(scene_object, components="all") if is_field else scene_object
-        cage = _box_around(mesh, args) if args.box else _cylinder_around(mesh, args)
+        cage = _shape_around(extract_mesh(scene_object, components="all") if is_field else scene_object, args)
     else:
         make = Cage.from_field if is_field else Cage.from_mesh
         cage = make(
@@ -101,16 +103,10 @@ def _snap(field: Any, args: argparse.Namespace, output: pathlib.Path) -> None:
 def _check_combination(args: argparse.Namespace) -> None:
     if (args.snap is None) != (args.reach is None):
         raise InputError("--snap needs --reach, how far its sides may move, and --reach belongs to --snap")
-    if args.snap is not None and any(value is not None for value in _selection(args).values()):
+    if args.snap is not None and options.given(args, *PARTS):
         raise InputError("--snap looks at all of the field: leave the options out that select a part of it")
-    needs = {
-        "segments": ("box", args.box),
-        "axis": ("cylinder", args.cylinder),
-        "sides": ("cylinder", args.cylinder),
-        "rings": ("cylinder", args.cylinder),
-    }
-    for name, (shape, chosen) in needs.items():
-        if getattr(args, name) is not None and not chosen:
+    for name, shape in {"segments": "box", **dict.fromkeys(("axis", "sides", "rings"), "cylinder")}.items():
+        if getattr(args, name) is not None and not getattr(args, shape):
             raise InputError(f"--{name} belongs to --{shape}")
     if args.vertices is not None and (args.box or args.cylinder):
         raise InputError(
@@ -118,40 +114,24 @@ def _check_combination(args: argparse.Namespace) -> None:
         )
     if args.vertices is not None:
         checked_count(args.vertices, "--vertices")
-    for name in ("method", "symmetry"):
-        if getattr(args, name) is not None and (args.box or args.cylinder):
-            raise InputError(f"--{name} is for a cage wrapped around the object")
+    if (names := options.given(args, "method", "symmetry")) and (args.box or args.cylinder):
+        raise InputError(f"--{names[0]} is for a cage wrapped around the object")
     if args.segments is not None and len(args.segments) not in (1, 3):
         raise InputError(f"--segments takes one number or three, got {len(args.segments)}")
 
 
-def _selection(args: argparse.Namespace) -> dict:
-    """What select_nodes takes, and a selection file; None where an option is not given."""
-    return {
-        "selection": args.selection,
-        "box": args.in_box,
-        "masks": args.masks,
-        "seed": args.seed,
-        "parts": args.parts,
-        "floaters": args.floaters,
-    }
-
-
 def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelection:
     """The chosen nodes of a field. What was left out is printed."""
-    chosen = {name: value for name, value in _selection(args).items() if value is not None}
+    chosen = {name: getattr(args, name) for name in options.given(args, *PARTS)}
     if not is_field:
-        raise InputError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields, not for meshes")
-    selected = field
-    if "selection" in chosen:
-        selected = NodeSelection.load(chosen.pop("selection"), field)
-        if not chosen:
-            return selected
-    if "box" in chosen:
-        chosen["box"] = [args.in_box[:3], args.in_box[3:]]
-        if selected is field and is_splats(
-            field
-        ):  # a part of a place is looked at as closely as the whole of an object
+        raise InputError(f"--{'in-box' if 'in_box' in chosen else next(iter(chosen))} is for fields, not for meshes")
+    selected = NodeSelection.load(chosen.pop("selection"), field) if "selection" in chosen else field
+    if not chosen:
+        return selected
+    if (box := chosen.pop("in_box", None)) is not None:
+        chosen["box"] = [box[:3], box[3:]]
+        # a part of a place is looked at as closely as the whole of an object
+        if selected is field and is_splats(field):
             selected = matter_around(field, checked_bounds(chosen["box"], "box"))
     if "masks" in chosen:
         chosen |= shared.scene_masks(args.masks, field)
@@ -178,20 +158,15 @@ def read_mesh(name: str, object: str | None = None) -> trimesh.Trimesh:
     return load_trimesh(path)
 
 
-def _margin(mesh: trimesh.Trimesh, args: argparse.Namespace) -> float:
-    return MARGIN * float(mesh.extents.max()) if args.margin is None else args.margin
-
-
-def _box_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
-    margin = _margin(mesh, args)
-    segments = args.segments or [1]
-    low, high = mesh.bounds
-    return Cage.box(low - margin, high + margin, segments=segments[0] if len(segments) == 1 else tuple(segments))
-
-
-def _cylinder_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
-    """Around the middle of the bounding box, wide enough for the flat sides to clear every vertex."""
-    margin, axis, sides = _margin(mesh, args), args.axis or "z", args.sides or 12
+def _shape_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
+    """A box around a mesh; or a cylinder around the middle of its bounding box, wide enough for the flat sides to clear
+    every vertex."""
+    margin = MARGIN * float(mesh.extents.max()) if args.margin is None else args.margin
+    if args.box:
+        segments = args.segments or [1]
+        low, high = mesh.bounds
+        return Cage.box(low - margin, high + margin, segments=segments[0] if len(segments) == 1 else tuple(segments))
+    axis, sides = args.axis or "z", args.sides or 12
     if sides < 3:
         raise InputError(f"a cylinder needs at least 3 sides, got {sides}")
     center = mesh.bounds.mean(axis=0)
@@ -203,10 +178,8 @@ def _cylinder_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
 
 def run_check(args: argparse.Namespace) -> int:
     shared.require_field_scale(args)
-    output = (
-        None if args.repair is None else options.check_output(args.repair, tuple(mesh_endings("write")), "cage file")
-    )
-
+    endings = tuple(mesh_endings("write"))
+    output = None if args.repair is None else options.check_output(args.repair, endings, "cage file")
     scene_object = _enclosed(args)
     reference = next(iter(scene_object.values()), None)
     cage, standing = load_standing(
@@ -275,13 +248,8 @@ def _list(what: str, deformation: Deformation, names: list[str]) -> None:
     count = len(names)
     print(f"{what}: {count} edit{'s'[: count > 1]}{', in this order' if count > 1 else ''}")
     for number, (name, part) in enumerate(zip(names, deformation.parts, strict=True), 1):
-        print(f"  {number}. {name} ({_size(part)})")
-
-
-def _size(part: PosedEdit) -> str:
-    """How large the cage of an edit is, and how many poses it has."""
-    poses = len(part.poses)
-    return f"{len(part.edit.cage.vertices)} vertices" + (f", {poses} poses" if poses > 1 else "")
+        poses = f", {len(part.poses)} poses" if len(part.poses) > 1 else ""
+        print(f"  {number}. {name} ({len(part.edit.cage.vertices)} vertices{poses})")
 
 
 #: Options for pose files alone.
@@ -302,10 +270,15 @@ def run_pose_keys(args: argparse.Namespace, output: pathlib.Path) -> None:
         _remove(file, args, output)
     else:
         _add_key(file, args, rest, resolver)
-    file.fps = file.fps if args.fps is None else float(args.fps)
-    file.loop = args.loop or file.loop
     if not len(file) and not file.cameras:
         raise InputError(f"{str(output)!r} would hold no key: remove the file instead")
+    _save(file, args, output)
+
+
+def _save(file: PoseFile, args: argparse.Namespace, output: pathlib.Path) -> None:
+    """Write poses with the rate and the end of the film that options give, and print what they are."""
+    file.fps = file.fps if args.fps is None else float(args.fps)
+    file.loop = args.loop or file.loop
     file.save(output)
     print(f"wrote {output}: {_described(file)}")
 
@@ -315,11 +288,8 @@ def _write_motion(args: argparse.Namespace, output: pathlib.Path) -> None:
     rest = read_cage(args, asset_resolver()).cage
     if not args.posed or is_preset(args.posed):
         raise InputError("a cage that moves needs --posed, a pose file (.json) or another file of poses")
-    file = PoseFile.load(args.posed, rest, up=args.cage_up, fps=None if args.fps is None else float(args.fps))
-    file.fps = file.fps if args.fps is None else float(args.fps)
-    file.loop = args.loop or file.loop
-    file.save(output)
-    print(f"wrote {output}: {_described(file)}")
+    rate = None if args.fps is None else float(args.fps)
+    _save(PoseFile.load(args.posed, rest, up=args.cage_up, fps=rate), args, output)
 
 
 def _add_key(file: PoseFile, args: argparse.Namespace, rest: RestCage, resolver: AssetResolver) -> None:
@@ -457,18 +427,13 @@ def read_cage(args: argparse.Namespace, resolver: AssetResolver) -> RestCage:
 def stepped(cage: Cage, args: argparse.Namespace) -> Cage:
     """A cage after the steps of the command, usable."""
     for name, value in args.steps or ():
-        cage = getattr(cage, name)(*_arguments(name, value), **_options(name, cage, args))
+        if name == "scale":
+            if len(value) not in (1, 3):
+                raise InputError(f"--scale takes one factor or three, got {len(value)}")
+            value = value[0] if len(value) == 1 else tuple(value)
+        cage = getattr(cage, name)(value, **_options(name, cage, args))
     cage.require_usable("the posed cage")
     return cage
-
-
-def _arguments(name: str, value: Any) -> tuple:
-    """Positional arguments of the step's method of Cage."""
-    if name != "scale":
-        return (value,)
-    if len(value) not in (1, 3):
-        raise InputError(f"--scale takes one factor or three, got {len(value)}")
-    return (value[0] if len(value) == 1 else tuple(value),)
 
 
 def _options(name: str, cage: Cage, args: argparse.Namespace) -> dict:
@@ -521,7 +486,8 @@ def run_edit(args: argparse.Namespace) -> None:
             f"{str(kept)!r} holds a session of this field: leave {option} out to go on with it, or give --new"
         )
     own = stage_field(pathlib.Path(args.field)) if shared.is_stage(args.field) else args.field
-    field = load_field(own, scene_scale=args.scene_scale, device=device)
+    scale = args.scene_scale or 1.0
+    field = load_field(own, scene_scale=scale, device=device)
     rest = functools.partial(asset_resolver().rest, object=args.cage_object, part=True)
     cages = [rest(path, args.cage_up, field).cage for path in args.cage or ()]
     if args.selection:
@@ -530,7 +496,7 @@ def run_edit(args: argparse.Namespace) -> None:
         cages = [Cage.load(demo_cage)]
     options = {
         "field_path": args.field,
-        "scene_scale": args.scene_scale,
+        "scene_scale": scale,
         "host": args.host,
         "port": args.port,
         "allowed_hosts": args.allow_host,

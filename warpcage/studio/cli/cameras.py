@@ -55,7 +55,7 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
     """The camera of the view options. Where none is given, it sees all points (n, 3)."""
     size = image_size(args)
     if args.camera is not None:
-        if any(given is not None for given in (args.eye, args.target, args.view, args.frame)):
+        if options.given(args, "eye", "target", "view", "frame"):
             raise InputError("--camera cannot be combined with --eye, --target, --view or --frame")
         if named := camera_file(args.camera):
             cameras = _file_cameras(args, named[0])
@@ -63,7 +63,7 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
                 return fitted_to(cameras.named(named[1]), args)
         return fitted_to(scene_camera(args, args.camera), args)
     width, height = size or DEFAULT_SIZE
-    view = {"up": args.up, "fov_degrees": args.fov, "width": width, "height": height}
+    view = {"up": args.up, "fov_degrees": args.fov or options.FOV, "width": width, "height": height}
     elevation, azimuth = SIDES[args.view or "corner"]
     framed = framing_orbit(points, 1, elevation_degrees=elevation, start_degrees=azimuth, **view)[0]
     if args.eye is None and args.target is None:
@@ -123,8 +123,8 @@ def save_cameras(args: argparse.Namespace, cameras: Sequence[Camera], fps: float
 
 def warn_of_edges(args: argparse.Namespace, camera: Camera, deformation: Deformation | None) -> None:
     """Say on stderr where a posed cage reaches out of a picture that is framed by the field at rest."""
-    chosen = (args.frame, args.camera, args.eye, args.target, args.cameras)
-    if deformation is None or deformation.is_still or any(given is not None for given in chosen):
+    chosen = options.given(args, "frame", "camera", "eye", "target", "cameras")
+    if deformation is None or deformation.is_still or chosen:
         return
     posed = [cage.vertices for cage in deformation.posed if cage is not None]
     pixels, depth = camera.project(np.concatenate(posed or [np.zeros((0, 3))]))
@@ -252,14 +252,14 @@ def scene_camera(args: argparse.Namespace, text: str) -> Camera:
     return cameras[int(index)]
 
 
-def _say_pace(args: argparse.Namespace, keys: Sequence[CameraKey], timeline: Timeline) -> None:
+def _say_pace(cameras: str, keys: Sequence[CameraKey], timeline: Timeline) -> None:
     """Say where keys of cameras at times are shown in another time, that of a film without times of its own."""
     last = max((key.time for key in keys if key.time is not None), default=0.0)
-    own = round(last * args.fps) + 1
-    if timeline.keys is None and last > 0.0 and abs(own - args.frames) > 1:
+    own = round(last * timeline.fps) + 1
+    if timeline.keys is None and last > 0.0 and abs(own - timeline.frames) > 1:
         print(
-            f"warpcage: the cameras of {args.cameras} take {last:g} s, and are shown in "
-            f"{float(args.frames / args.fps):g} s: --frames {own} keeps their times",
+            f"warpcage: the cameras of {cameras} take {last:g} s, and are shown in "
+            f"{float(timeline.frames / timeline.fps):g} s: --frames {own} keeps their times",
             file=sys.stderr,
         )
 
@@ -271,10 +271,10 @@ def camera_track(
     points: np.ndarray,  # (n, 3) around what the film shows, world units
 ) -> CameraTrack:
     """The camera of a film; that of the film's keys where no option names another."""
-    named = (args.cameras, args.turn, args.camera, args.view, args.eye, args.target)
+    placed = options.given(args, "camera", "view", "eye", "target")
     deformation = timeline.deformation
     film = None if timeline.keys is None or deformation is None else deformation.camera_film
-    if film is not None and all(one is None for one in named):
+    if film is not None and not placed and args.cameras is None and args.turn is None:
         return lambda frames: [fitted_to(film.camera_at(timeline.time(frame)), args) for frame in frames]
     moves = None if args.cameras is None else camera_moves(args.cameras)
     if args.cameras is None or moves is not None:
@@ -289,18 +289,17 @@ def camera_track(
         if np.linalg.norm(axis) == 0:
             raise InputError("--up must not be 0 0 0")
         camera, pivot = chosen_camera(args, points), chosen_target(args, points)
-        moving = MovingCamera(camera, pivot, axis / np.linalg.norm(axis), moves, args.frames, float(args.fps))
-        anywhere = all(one is None for one in (args.camera, args.view, args.eye, args.target))
-        moving, notes = within_sight(moving, seen_cameras(args, field), anywhere=anywhere)
+        moving = MovingCamera(camera, pivot, axis / np.linalg.norm(axis), moves, timeline.frames, float(timeline.fps))
+        moving, notes = within_sight(moving, seen_cameras(args, field), anywhere=not placed)
         for note in notes:
             print(f"warpcage: {note}", file=sys.stderr)
         edits = [] if deformation is None else deformation.edits
         return moving_track(moving, field, edits, timeline.cages, asset_resolver())
-    if any(given is not None for given in (args.turn, args.camera, args.view, args.frame, args.eye, args.target)):
+    if placed or options.given(args, "turn", "frame"):
         raise InputError("--cameras cannot be combined with --turn, --camera, --view, --frame, --eye or --target")
     if camera_file(args.cameras):
         keys = camera_keys(args, args.cameras)
-        _say_pace(args, keys, timeline)
+        _say_pace(args.cameras, keys, timeline)
         return keyed_track(keys, timeline)
     cameras = sized_cameras(args, args.cameras)
-    return lambda frames: cameras_along(cameras, args.frames, args.interpolation, frames)
+    return lambda frames: cameras_along(cameras, timeline.frames, timeline.interpolation, frames)

@@ -23,7 +23,6 @@ from ...errors import InputError
 from ...field.io import VOLUME_ENDINGS
 from ...field.surface import color_vertices
 from ...field.texture import simplified, textured
-from ...field.voxel_field import VoxelField
 from ...fitting.splats.from_voxels import to_splats
 from ...mesh.io import MOTION_ENDINGS, write_shown_mesh
 from ...mesh.io.ply import write_ply
@@ -41,6 +40,7 @@ from ...view.motion import frame_times
 from ...view.pictures import write_png
 from ..films.edits import Deformation
 from ..films.render import require_voxels
+from ..films.timeline import shown_corners
 from . import shared
 from .arguments import options
 from .cameras import asset_resolver, camera_file, check_saved, chosen_camera, save_cameras, scene_cameras
@@ -82,20 +82,12 @@ def run_bake(args: argparse.Namespace) -> None:
     if args.selection is not None:
         field = NodeSelection.load(args.selection, field).cut_out()
     deformation = read_deformation(args, field)
-    if deformation is None:
-        if isinstance(field, SplatField):
-            _write_splats(field, output)
-            return
-        baked = field
-    else:
+    if deformation is not None:
         deformer = shared.make_deformer(field, deformation, args).pose(deformation.posed)
-        if isinstance(deformer.field, SplatField):
-            if args.frames is not None:
-                return _write_sequence(deformer, deformation, args)
-            _write_splats(deformer.baked(), output)
-            return
-        baked = bake(deformer, resolution=args.voxels)
-    _write_voxels(baked, output, args.format or "warpcage")
+        if args.frames is not None:
+            return _write_sequence(deformer, deformation, args)
+        field = deformer.baked() if of_splats else bake(deformer, resolution=args.voxels)
+    _write(field, output, args.format)
 
 
 def _bake_stage(args: argparse.Namespace) -> None:
@@ -106,29 +98,20 @@ def _bake_stage(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, (".npz", *endings_written()), "field file")
     shared.require_field_scale(args)
     stage = Stage.load(args.field, device=shared.chosen_device(args))
-    merged = stage.merged(resolution=args.voxels, convert=to_splats)
-    if isinstance(merged, SplatField):
-        if output.suffix.lower() == ".npz":
-            raise InputError(f"splats are merged as splats: give -o with one of {', '.join(endings_written())}")
-        _write_splats(merged, output)
-    elif output.suffix.lower() != ".npz":
-        _write_splats(to_splats(merged), output)
+    merged, to_voxels = stage.merged(resolution=args.voxels, convert=to_splats), output.suffix.lower() == ".npz"
+    if isinstance(merged, SplatField) and to_voxels:
+        raise InputError(f"splats are merged as splats: give -o with one of {', '.join(endings_written())}")
+    _write(merged if isinstance(merged, SplatField) or to_voxels else to_splats(merged), output, args.format)
+
+
+def _write(field: AnyField, output: pathlib.Path, format: str | None = None) -> None:
+    if isinstance(field, SplatField):
+        field.save(output)
+        size = counted(field.splat_count, "splat")
     else:
-        _write_voxels(merged, output, args.format or "warpcage")
-
-
-def _write_splats(field: SplatField, output: pathlib.Path) -> None:
-    field.save(output)
-    print(f"wrote {output}: {counted(field.splat_count, 'splat')}, {output.stat().st_size / 1e6:.1f} MB")
-
-
-def _write_voxels(field: VoxelField, output: pathlib.Path, format: str = "warpcage") -> None:
-    field.save(output, format=format)
-    size = "x".join(map(str, field.resolution))
-    print(
-        f"wrote {output}: {counted(field.voxel_count, 'voxel')} in a grid of {size}, "
-        f"{output.stat().st_size / 1e6:.1f} MB"
-    )
+        field.save(output, format=format or "warpcage")
+        size = f"{counted(field.voxel_count, 'voxel')} in a grid of {'x'.join(map(str, field.resolution))}"
+    print(f"wrote {output}: {size}, {output.stat().st_size / 1e6:.1f} MB")
 
 
 def _write_sequence(deformer: Deformer, deformation: Deformation, args: argparse.Namespace) -> None:
@@ -160,13 +143,12 @@ def run_clean(args: argparse.Namespace) -> None:
     )
     camera = None
     if preview is not None or args.save_camera:
-        camera = chosen_camera(args, shared.visible_points(field, None, None))
+        camera = chosen_camera(args, shown_corners(field))
     if isinstance(field, SplatField):
         cleaned = clean_splats(field, wanted, args.largest_scale)
-        _write_splats(cleaned.field, output)
     else:
         cleaned = clean_voxels(field, wanted)
-        _write_voxels(cleaned.field, output)
+    _write(cleaned.field, output)
     for note in cleaned.notes or ("nothing was removed",):
         print(note)
     if camera is not None:
@@ -267,7 +249,7 @@ def _mesh_frames(
     else:
         times = frame_times(film.length, rate, film.loop or "once")
         poses = [deformation.at_time(time) for time in times]
-    options = {"coordinates": args.coordinates, "device": args.device}
+    options = {"coordinates": shared.shot_of(args).coordinates, "device": args.device}
     what = f"{counted(len(poses), 'frame')} of {len(vertices)} vertices need"
     require_host_memory(FRAME_BYTES * len(poses) * len(vertices), what)
     return np.stack([carried_points(vertices, deformation.edits, pose, **options) for pose in poses]), rate
@@ -285,8 +267,7 @@ def run_select(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, SELECTION_ENDINGS, "selection file")
     preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
     check_saved(args)
-    regions = (args.in_box, args.sphere, args.in_cage, args.masks, args.depth)
-    if all(given is None for given in (args.point, args.pixel, *regions)):
+    if not options.given(args, "point", "pixel", "in_box", "sphere", "in_cage", "masks", "depth"):
         raise InputError(
             "select needs a click (--point or --pixel) or a region (--in-box, --sphere, --in-cage, --masks or --depth)"
         )
@@ -297,7 +278,7 @@ def run_select(args: argparse.Namespace) -> None:
     if args.plane == "none" and (args.plane_at is not None or args.clearance is not None):
         raise InputError("--plane-at and --clearance need a plane: leave out --plane none")
     field = shared.read_field(args)
-    corners = shared.visible_points(field, None, None)
+    corners = shown_corners(field)
     camera = chosen_camera(args, corners) if args.pixel or preview or args.save_camera else None
     chosen = select_object(
         field,

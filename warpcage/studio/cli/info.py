@@ -143,11 +143,7 @@ def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
         ("up", field.up.round(3).tolist()),
         ("straightened", _turn(field.straightening)),
         ("around it", _around(field.background_model)),
-        *(
-            []
-            if cameras is None and args.seen is None
-            else [("seen", _seen(cameras, field.bounds, field.up, args.seen))]
-        ),
+        *([("seen", _seen(cameras, field.bounds, field.up, args.seen))] if cameras is not None or args.seen else []),
         ("file", _file_size(path)),
     ]
 
@@ -341,12 +337,8 @@ def _poses(path: pathlib.Path) -> Rows:
     for name in (*poses.timed, *(name for name in poses.names if name not in poses.times)):
         moved = np.linalg.norm(poses[name].vertices - rest.vertices, axis=1)
         at = f"at {poses.times[name]:g} s, {poses.easings.get(name, 'smooth')}: " if name in poses.times else ""
-        rows.append(
-            (
-                f"pose {name!r}",
-                f"{at}{counted(int((moved > 0).sum()), 'vertex', 'vertices')} moved by up to {moved.max():.4g}",
-            )
-        )
+        count = counted(int((moved > 0).sum()), "vertex", "vertices")
+        rows.append((f"pose {name!r}", f"{at}{count} moved by up to {moved.max():.4g}"))
     rows += [(f"camera {key.name!r}", f"at {key.time:g} s, {key.easing}") for key in poses.cameras]
     return rows
 
@@ -360,17 +352,10 @@ def _edits(path: pathlib.Path) -> Rows:
 def _stage(path: pathlib.Path) -> Rows:
     objects = read_stage_file(path)
     rows: Rows = [("kind", "scene file"), ("objects", len(objects))]
-    for scene_object in objects:
-        cages = (
-            counted(len(scene_object["deformation"]["edits"]), "edit") if "deformation" in scene_object else "no edits"
-        )
-        hidden = ", hidden" if scene_object.get("hidden") else ""
-        rows.append(
-            (
-                f"object {scene_object['name']!r}",
-                f"{scene_object['field']}, {cages}, {_placed(scene_object['place'])}{hidden}",
-            )
-        )
+    for each in objects:
+        edits = counted(len(each["deformation"]["edits"]), "edit") if "deformation" in each else "no edits"
+        hidden = ", hidden" if each.get("hidden") else ""
+        rows.append((f"object {each['name']!r}", f"{each['field']}, {edits}, {_placed(each['place'])}{hidden}"))
     return [*rows, ("file", _file_size(path))]
 
 
@@ -386,8 +371,7 @@ def _placed(places: PlaceFile) -> str:
         return f"moves through {counted(len(places.places), 'place')} in {places.length:g} s"
     place = next(iter(places.places.values()))
     position, turn = (np.asarray(vector).tolist() for vector in (place.position, place.turn))
-    numbers = [f"at {position}", f"turned by {turn} degrees", f"{place.scale:g} times as large"]
-    return ", ".join(numbers)
+    return f"at {position}, turned by {turn} degrees, {place.scale:g} times as large"
 
 
 def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | None, box: pathlib.Path | None) -> Rows:

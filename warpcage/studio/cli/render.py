@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 import pathlib
 import sys
 from collections.abc import Sequence
 
-import numpy as np
-
 from ...cage.cage import Cage
 from ...core.files import check_parent
-from ...core.names import counted
+from ...core.names import TRANSPARENT, counted
 from ...edits.stage_file import STAGE_ENDING
 from ...errors import InputError
 from ...view import frame_parts
@@ -32,20 +29,19 @@ from .arguments.render import STEPS
 from .cameras import camera_file, camera_keys, check_saved, chosen_camera, save_cameras, sized_cameras, warn_of_edges
 
 
-def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
-    """Whether many pictures have opacity. Raises ValueError where their film or folder cannot hold what was asked."""
+def check_target(args: argparse.Namespace, output: pathlib.Path) -> None:
+    """Raises ValueError where a film or a folder cannot hold what is asked for, before any long work."""
     if output.suffix and args.format is not None:
         raise InputError("--format is for folders of pictures: the file ending of a film says its format")
-    require_format(args.format or "")
-    transparent = shared.is_transparent(args)
-    if transparent:
+    _require_format(args.format or "")
+    if shared.shot_of(args).background == TRANSPARENT:
         require_clear_film(output)
-    return transparent
+    check_saved(args)
 
 
-def require_format(path: str | os.PathLike[str]) -> None:
-    """Raises ValueError for an OpenEXR file where its library is not installed, before any long work."""
-    if os.fspath(path).lower().endswith("exr"):
+def _require_format(path: str) -> None:
+    """Raises ValueError for an OpenEXR file where its library is not installed."""
+    if path.lower().endswith("exr"):
         require_openexr()
 
 
@@ -72,60 +68,63 @@ SINGLE_POSE = ("disparity", "depth", "alpha", "masks")
 SINGLE_CAMERA = (*SINGLE_POSE, "camera", "view", "frame", "eye", "target")
 
 
-def film_of(args: argparse.Namespace, cameras: Sequence[Camera], moment: Moment) -> Film:
+def _film(args: argparse.Namespace, cameras: Sequence[Camera], moment: Moment) -> Film:
     """The pictures of some cameras, one after the other."""
-    return Film(
-        len(cameras), lambda frames: [cameras[int(frame)] for frame in frames], moment, Look.of(shared.shot_of(args))
-    )
+    look = Look.of(shared.shot_of(args))
+    return Film(len(cameras), lambda frames: [cameras[int(frame)] for frame in frames], moment, look)
 
 
-def posed_moment(
-    args: argparse.Namespace, field: shared.AnyField, deformation: Deformation | None, objects: Objects | None
-) -> Moment:
-    """The scene in its last pose at all times."""
-    renderer, cages = shared.posed_scene(field, deformation, args)
-    return lambda frame: (renderer if objects is None else objects.with_main(renderer), cages)
+def _posed_film(
+    args: argparse.Namespace,
+    cameras: Sequence[Camera],
+    field: shared.AnyField,
+    deformation: Deformation | None,
+    objects: Objects | None,
+) -> Film:
+    """What cameras see of the scene in its last pose; where nothing moves, of the field itself."""
+    shared.set_lattice(args, cameras[0])
+    renderer, cages = field, [] if deformation is None else [cage for cage in deformation.posed if cage is not None]
+    if deformation is not None and not deformation.is_still:
+        renderer = shared.make_deformer(field, deformation, args).pose(deformation.posed)
+        cages = drawn_cages(renderer)
+    return _film(args, cameras, lambda frame: (renderer if objects is None else objects.with_main(renderer), cages))
 
 
-def run_flight(args: argparse.Namespace) -> None:
+def _run_flight(args: argparse.Namespace) -> None:
     """Render what each of several cameras sees."""
     if pathlib.Path(args.output).suffix:
         output = options.check_output(args.output, FILM_ENDINGS, "film (a folder of pictures has no ending)")
     else:
         output = _new_folder(args.output, "--cameras writes a new or an empty folder, or a film")
-    checked_opacity(args, output)
+    check_target(args, output)
     if args.scene is None:
         raise InputError("--cameras needs --scene, the scene of the cameras")
-    if given := [name for name in SINGLE_CAMERA if getattr(args, name) is not None]:
+    if given := options.given(args, *SINGLE_CAMERA):
         raise InputError(f"--cameras cannot be combined with --{given[0]}, which is for one picture")
-    check_saved(args)
     if args.cameras == "given" and args.frames is not None:
         raise InputError("--frames belongs to --cameras interpolate")
-    field, deformation, objects = shared.read_shot(args)
-    cameras = chosen_cameras(args)
-    shared.set_lattice(args, cameras[0])
-    film = film_of(args, cameras, posed_moment(args, field, deformation, objects))
+    shot = shared.read_shot(args)
+    cameras = _chosen_cameras(args)
+    film = _posed_film(args, cameras, *shot)
     save_cameras(args, cameras)
     if output.suffix:
-        rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
-        film.write(output, rate, loop=True)
+        film.write(output, GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE, loop=True)
     else:
         film.write_pictures(output / f"view_{index:04d}.{args.format or 'png'}" for index in range(len(cameras)))
     size = size_text(cameras[0].width, cameras[0].height, output)
     print(f"wrote {output}: {counted(len(cameras), 'picture')} of {size}")
 
 
-def chosen_cameras(args: argparse.Namespace) -> list[Camera]:
+def _chosen_cameras(args: argparse.Namespace) -> list[Camera]:
     """One camera per picture."""
-    if camera_file(args.scene):
-        keys = camera_keys(args, args.scene)
-        if args.cameras == "interpolate":
-            return path_cameras(keys, args.frames or max(1, STEPS * (len(keys) - 1) + 1))
-        return [key.camera for key in keys]
-    cameras = sized_cameras(args, args.scene)
+    if keys := camera_keys(args, args.scene) if camera_file(args.scene) else []:
+        cameras = [key.camera for key in keys]
+    else:
+        cameras = sized_cameras(args, args.scene)
     if args.cameras == "given":
         return cameras
-    return cameras_along(cameras, args.frames or max(1, STEPS * (len(cameras) - 1) + 1))
+    count = args.frames or max(1, STEPS * (len(cameras) - 1) + 1)
+    return path_cameras(keys, count) if keys else cameras_along(cameras, count)
 
 
 def _new_folder(text: str, what: str) -> pathlib.Path:
@@ -137,25 +136,15 @@ def _new_folder(text: str, what: str) -> pathlib.Path:
     return path
 
 
-def seen_points(
-    field: shared.AnyField, deformation: Deformation | None, args: argparse.Namespace, objects: Objects | None
-) -> np.ndarray:
-    """(n, 3) points around what a picture shows, world units."""
-    points = shared.visible_points(field, deformation, args.frame)
-    return points if objects is None else objects.points(points)
-
-
-def run_many_poses(args: argparse.Namespace) -> None:
+def _run_many_poses(args: argparse.Namespace) -> None:
     """Render each of several poses. The field is read once, and its lattice is made once."""
     folder = _new_folder(args.output, "pictures of several poses go into a new or an empty folder")
-    if given := [name for name in SINGLE_POSE if getattr(args, name) is not None]:
+    if given := options.given(args, *SINGLE_POSE):
         raise InputError(f"--{given[0]} is for one picture: give the name of a picture with -o")
-    shared.require_deformation(args, f"the folder {args.output!r}")
-    checked_opacity(args, folder)
-    check_saved(args)
+    check_target(args, folder)
     field, deformation, objects = shared.read_shot(args, shared.edit_reader(args, "linear"))
     assert deformation is not None
-    camera = chosen_camera(args, seen_points(field, deformation, args, objects))
+    camera = chosen_camera(args, shared.seen_points(args, field, deformation, objects))
     shared.set_lattice(args, camera)
     deformer = shared.make_deformer(field, deformation, args)
     count = max(1, deformation.pose_count - 1)
@@ -169,42 +158,34 @@ def run_many_poses(args: argparse.Namespace) -> None:
         return deformer if objects is None else objects.with_main(deformer), drawn_cages(deformer)
 
     digits, ending = max(4, len(str(count))), args.format or "png"
-    film_of(args, [camera] * count, moment).write_pictures(
-        folder / f"pose_{number:0{digits}d}.{ending}" for number in range(1, count + 1)
-    )
+    names = (f"pose_{number:0{digits}d}.{ending}" for number in range(1, count + 1))
+    _film(args, [camera] * count, moment).write_pictures(folder / name for name in names)
     save_cameras(args, [camera])
     print(f"wrote {folder}: {counted(count, 'picture')} of {camera.width}x{camera.height}")
 
 
 def run_render(args: argparse.Namespace) -> None:
-    if args.overlay:
-        shared.require_deformation(args, "--overlay")
     if args.cameras is not None:
-        return run_flight(args)
+        return _run_flight(args)
     if args.scene is not None or args.frames is not None:
         raise InputError("--scene and --frames belong to --cameras")
     if not pathlib.Path(args.output).suffix and shared.is_deformed(args):
-        return run_many_poses(args)
+        return _run_many_poses(args)
     if args.posed is not None and len(args.posed) > 1:
         raise InputError(f"{len(args.posed)} poses make as many pictures: give a folder with -o, which has no ending")
     if args.format is not None:
         raise InputError("--format is for folders of pictures: the file ending of a single one says its format")
     output = options.check_output(args.output, (".png", ".exr"), "picture")
-    require_format(output)
+    _require_format(args.output)
     check_saved(args)
-    shared.is_transparent(args)  # refuses others
-    given = [kind for kind in SINGLE_POSE if getattr(args, kind) is not None]
-    extra = {kind: options.check_output(getattr(args, kind), (".png",), "picture") for kind in given}
-    if args.masks is not None:
-        shared.require_deformation(args, "--masks")
+    kinds = options.given(args, *SINGLE_POSE)
+    extra = {kind: options.check_output(getattr(args, kind), (".png",), "picture") for kind in kinds}
     if args.save_stage is not None and not shared.is_stage(args.save_stage):
         raise InputError(f"--save-stage writes a file that ends in {STAGE_ENDING}, got {args.save_stage!r}")
     field, deformation, objects = shared.read_shot(args, of_voxels="" if args.masks is None else "--masks")
-    camera = chosen_camera(args, seen_points(field, deformation, args, objects))
+    camera = chosen_camera(args, shared.seen_points(args, field, deformation, objects))
     warn_of_edges(args, camera, deformation)
-    shared.set_lattice(args, camera)
-    film = film_of(args, [camera], posed_moment(args, field, deformation, objects))
-    image, frame, _ = film.taken(0)
+    image, frame, _ = _posed_film(args, [camera], field, deformation, objects).taken(0)
     with picture_cuts(output) as cuts:
         write, _ = picture_task(output, image, frame, camera, cuts)
         write()

@@ -25,6 +25,7 @@ from ...errors import InputError
 from ...scene.formats.transforms import TransformsCameras
 from ...view.camera import Camera, CameraFile, framing_orbit
 from ..films.resolve import AssetResolver, RestCage
+from ..films.timeline import shown_corners
 from ..jobs.manifest import Part
 from ..jobs.plan import Forecast, foresee
 from ..jobs.run import RunProgress, RunReport, run_jobs
@@ -55,19 +56,9 @@ def run_run(args: argparse.Namespace) -> int:
             raise InputError("--dry-run looks at the whole job: leave out --part")
         count = args.workers or 1
         return _print_forecast(foresee(args.jobs, args.output, workers=count, cluster=args.cluster, device=args.device))
+    given = {name: getattr(args, name) for name in ("workers", "cluster", "device", "retries", "item_timeout")}
     with contextlib.closing(_Bar(args.quiet)) as bar:
-        report = run_jobs(
-            args.jobs,
-            args.output,
-            workers=args.workers,
-            cluster=args.cluster,
-            device=args.device,
-            retries=args.retries,
-            item_timeout=args.item_timeout,
-            part=part,
-            progress=bar.show,
-            warn=say_above_bar,
-        )
+        report = run_jobs(args.jobs, args.output, **given, part=part, progress=bar.show, warn=say_above_bar)
     return _conclude(report, args.output)
 
 
@@ -154,7 +145,7 @@ def run_sweep(args: argparse.Namespace) -> None:
     resolver = asset_resolver()
     rest = resolver.rest(args.cage, args.cage_up, field, object=args.cage_object)
     sources = _pose_sources(args, rest, resolver)
-    shown, up = shared.visible_points(field, None, None), tuple(field.up.tolist())
+    shown, up = shown_corners(field), tuple(field.up.tolist())
     given = _given_cameras(args)
     defaults = {
         **shared.shot_of(args).item_keys(deformed=True),
@@ -165,8 +156,7 @@ def run_sweep(args: argparse.Namespace) -> None:
         "falloff": args.falloff,
     }
     records = {"kind": args.records, "image": args.image, "depth": args.depth, "alpha": args.alpha}
-    if args.records == "webdataset":
-        records["items_per_shard"] = args.items_per_shard
+    records |= {"items_per_shard": args.items_per_shard} if args.records == "webdataset" else {}
     made = write_sweep(
         output,
         field=args.field,
@@ -202,8 +192,7 @@ def _check_arguments(args: argparse.Namespace) -> None:
     """Refuse what cannot be before anything is loaded."""
     for text in args.poses:
         _random_count(text, "--poses")
-    if re.match(r"orbit(:|$)", args.cameras):
-        _orbit_numbers(args.cameras)
+    _orbit_numbers(args.cameras)
     if _random_count(args.cameras, "--cameras") is not None and args.views is not None:
         raise InputError("--views chooses among cameras that all poses share: random:N makes N new ones for each pose")
     if len(set(args.seeds)) < len(args.seeds):
@@ -242,7 +231,8 @@ def _random_count(text: str, option: str) -> int | None:
 def _pose_sources(args: argparse.Namespace, rest: RestCage, resolver: AssetResolver) -> list[PoseSource]:
     """The poses of --poses in their order."""
     up, sources = shared.posed_up(args), []
-    files = [text for text in args.poses if _random_count(text, "--poses") is None and not _is_array(text)]
+    arrays = {text for text in args.poses if text.lower().endswith(".npy")}
+    files = [text for text in args.poses if _random_count(text, "--poses") is None and text not in arrays]
     rest = resolver.with_ups(rest, files) if up is None else rest
     for text in args.poses:
         count = _random_count(text, "--poses")
@@ -250,7 +240,7 @@ def _pose_sources(args: argparse.Namespace, rest: RestCage, resolver: AssetResol
             options_ = {"stretch": args.stretch, "reach": args.reach, "modes": args.modes}
             drawn = [RandomPoses(rest.cage, seed=seed, **options_) for seed in args.seeds]
             sources += [_RandomWithBar(poses, count, args.write_poses, cpu_threads(), args.quiet) for poses in drawn]
-        elif _is_array(text):
+        elif text in arrays:
             sources.append(_array_source(text, rest.cage))
         else:
             cages = resolver.poses(rest, text, up)
@@ -258,10 +248,6 @@ def _pose_sources(args: argparse.Namespace, rest: RestCage, resolver: AssetResol
                 cage.require_usable(f"cage {text!r}")
             sources.append(GivenSource([cage.vertices for cage in cages], text))
     return sources
-
-
-def _is_array(text: str) -> bool:
-    return text.lower().endswith(".npy")
 
 
 def _array_source(text: str, rest: Cage) -> GivenSource:
@@ -276,7 +262,7 @@ def _array_source(text: str, rest: Cage) -> GivenSource:
 def _given_cameras(args: argparse.Namespace) -> list[Camera] | None:
     """The cameras of files that --cameras names; None for those that are made."""
     text = args.cameras
-    if re.match(r"(random|orbit)(:|$)", text):
+    if _orbit_numbers(text) is not None or _random_count(text, "--cameras") is not None:
         return None
     if pathlib.Path(text).name.startswith("transforms") and text.lower().endswith(".json"):
         file = TransformsCameras(text)
@@ -298,17 +284,18 @@ def _made_cameras(
     """The cameras of orbit:N and random:N, which see the bounding box of points (n, 3)."""
     points = box_corners([points.min(axis=0), points.max(axis=0)])
     width, height = image_size(args) or DEFAULT_SIZE
-    count = _random_count(args.cameras, "--cameras")
-    if count is not None:
-        return RandomViews(count, points, args.seeds[0], up, args.fov, width, height)
-    number, elevation = _orbit_numbers(args.cameras)
-    return framing_orbit(
-        points, number, elevation_degrees=elevation, up=up, fov_degrees=args.fov, width=width, height=height
-    )
+    fov, orbit = args.fov or options.FOV, _orbit_numbers(args.cameras)
+    if orbit is None:
+        count = _random_count(args.cameras, "--cameras") or 0
+        return RandomViews(count, points, args.seeds[0], up, fov, width, height)
+    view = {"up": up, "fov_degrees": fov, "width": width, "height": height}
+    return framing_orbit(points, orbit[0], elevation_degrees=orbit[1], **view)
 
 
-def _orbit_numbers(text: str) -> tuple[int, float]:
-    """Number and elevation of orbit:N[:ELEVATION]."""
+def _orbit_numbers(text: str) -> tuple[int, float] | None:
+    """Number and elevation of orbit:N[:ELEVATION], None for any other text."""
+    if not re.match(r"orbit(:|$)", text):
+        return None
     found = re.fullmatch(r"orbit:(\d{1,6})(?::(-?\d+(?:\.\d+)?))?", text)
     elevation = ELEVATION if found is None or found[2] is None else float(found[2])
     if found is None or int(found[1]) < 1 or not -90.0 < elevation < 90.0:

@@ -35,17 +35,8 @@ from .arguments import options
 
 
 def run_capture(args: argparse.Namespace) -> None:
-    report = capture(
-        args.source,
-        args.output,
-        pictures=args.pictures,
-        masks=args.masks,
-        turntable=args.turntable,
-        frames=args.frames,
-        feature_size=args.feature_size,
-        seed=args.seed,
-        progress=not args.quiet,
-    )
+    given = {name: getattr(args, name) for name in "pictures masks turntable frames feature_size seed".split()}
+    report = capture(args.source, args.output, **given, progress=not args.quiet)
     print(f"wrote {args.output}: {report.summary()}")
     for sentence in report.advice:
         print(f"  {sentence}")
@@ -93,14 +84,8 @@ def run_evaluate(args: argparse.Namespace) -> None:
         write_png(worst, side_by_side([image, rgb, error_image(rgb, image)]))
         print(f"wrote {worst}: view {scene.names[index]}, its picture, the render, and their difference")
     if report is not None:
-        content = {
-            "field": args.field,
-            "scene": args.scene,
-            "split": args.split,
-            "downscale": args.downscale,
-            "tuned_cameras": args.tune_cameras,
-            **found.to_json(),
-        }
+        content = {name: getattr(args, name) for name in ("field", "scene", "split", "downscale")}
+        content |= {"tuned_cameras": args.tune_cameras, **found.to_json()}
         with atomic_path(report) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
@@ -131,23 +116,14 @@ def run_fit(args: argparse.Namespace) -> None:
     behind = args.background if names_behind else "auto"
     color = "white" if names_behind or args.background is None else args.background
     scene = shared.read_scene(args, color, orient="up" if args.straighten else None)
-    names = (*options_of(FitSpec), "refine_cameras")
+    names = (*options_of(FitSpec), "refine_cameras", "checkpoint_seconds")
     given = {name: getattr(args, name) for name in names if getattr(args, name)}
+    given |= {"checkpoint": checkpoint, "preview": preview, "device": device, "progress": not args.quiet}
     if args.check_cameras:
         given["refine_cameras"] = "auto"
     if args.bounds is not None:
         given["bounds"] = [args.bounds[:3], args.bounds[3:]]
-    field = fit(
-        scene,
-        representation=kind,
-        device=device,
-        progress=not args.quiet,
-        background=behind,
-        checkpoint=checkpoint,
-        checkpoint_seconds=args.checkpoint_seconds,
-        preview=preview,
-        **given,
-    )
+    field = fit(scene, representation=kind, background=behind, **given)
     field.save(output)
     if isinstance(field, VoxelField) and field.refined_cameras is not None:
         beside = field.refined_cameras.save(output.with_suffix(".cameras.json"))

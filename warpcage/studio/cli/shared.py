@@ -13,7 +13,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ...cage.cage import Cage
 from ...cage.up_axis import object_points
 from ...core.checks import warn_renamed
 from ...core.devices import resolve_device
@@ -43,7 +42,8 @@ from ..films.edits import Deformation, EditReader, read_edits_file
 from ..films.session_file import is_session, session_edits
 from ..films.timeline import Objects, shown_corners
 from ..spec.film import FilmSpec
-from .arguments.options import positive_float
+from ..spec.scene import SceneSpec
+from .arguments import options
 from .cameras import asset_resolver, named_scene
 
 
@@ -60,9 +60,9 @@ def read_deformation(args: argparse.Namespace, field: AnyField, reader: EditRead
     """The deformation that a command's options name, None where nothing is deformed; the field gives the axes of cage
     files. reader: None takes one pose an edit."""
     reader = reader or edit_reader(args)
-    ways = [f"--{name}" for name in ("cage", "edit", "edits") if getattr(args, name) is not None]
+    ways = options.given(args, "cage", "edit", "edits")
     if len(ways) > 1:
-        raise InputError(f"{ways[0]} and {ways[1]} do not go together: name each cage of several by --edit")
+        raise InputError(f"--{ways[0]} and --{ways[1]} do not go together: name each cage of several by --edit")
     if args.posed is not None and args.cage is None:
         raise InputError("--posed needs --cage, the same cage at rest")
     if args.cage is not None:
@@ -95,7 +95,8 @@ EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remo
 
 #: The last option after the cages, and how their values are read.
 _LAST_OPTION = re.compile(r"(?:(.*):)?(?:(keep|remove)|(falloff|fragments|crumbs|held|object)=([^:]*))", re.DOTALL)
-_VALUES = {"falloff": positive_float, "fragments": positive_float, "held": lambda text: held_walls(text, "held")}
+_VALUES: dict[str, Any] = dict.fromkeys(("falloff", "fragments"), options.positive_float)
+_VALUES["held"] = lambda text: held_walls(text, "held")
 
 #: A text that is none of them, after a posed cage: only glTF and pose files hold objects with names.
 _SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
@@ -112,21 +113,21 @@ def parse_edit(text: str) -> EditSpec:
     if found is None:
         raise InputError(f"--edit {text!r} names no cage file ({' '.join(ENDINGS)}): write {EDIT_SHAPE}")
     cage, posed = found.groups()
-    options: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     try:
         while posed and (found := _LAST_OPTION.fullmatch(posed)) and not pathlib.Path(posed).exists():
             posed, flag, name, value = found.groups()
             if name == "crumbs":
                 warn_renamed("crumbs=", "fragments=")
                 name = "fragments"
-            options[flag or name] = True if flag else _VALUES.get(name, str)(value)
+            settings[flag or name] = True if flag else _VALUES.get(name, str)(value)
         if posed and (slip := _SLIP.fullmatch(posed)) and not pathlib.Path(posed).exists():
             raise InputError(
                 f"{slip[1]!r} is unknown in an edit, which takes keep, remove, falloff=, held=, fragments= and object="
             )
-        if not posed and not options.get("remove"):
+        if not posed and not settings.get("remove"):
             raise InputError(f"there is no posed cage: write {EDIT_SHAPE}")
-        return EditSpec(cage, posed or None, **options)
+        return EditSpec(cage, posed or None, **settings)
     except (ValueError, argparse.ArgumentTypeError) as error:
         raise InputError(f"--edit {text!r}: {error}") from None
 
@@ -143,7 +144,7 @@ def parse_add(text: str) -> tuple[str, str | None, str | None]:
 
 def is_deformed(args: argparse.Namespace) -> bool:
     """Whether options name a deformation."""
-    return any(getattr(args, name, None) is not None for name in ("cage", "edit", "edits"))
+    return bool(options.given(args, "cage", "edit", "edits"))
 
 
 def chosen_device(args: argparse.Namespace) -> wp.Device:
@@ -166,7 +167,7 @@ def read_field_file(args: argparse.Namespace) -> AnyField:
         raise InputError(f"--antialias is for files of splats, got {args.field!r}")
     elif getattr(args, "map", None) == "forward":
         raise InputError(f"--map forward is for files of splats, voxels are looked up backward, got {args.field!r}")
-    field = load_field(args.field, scene_scale=args.scene_scale, device=chosen_device(args))
+    field = load_field(args.field, scene_scale=args.scene_scale or 1.0, device=chosen_device(args))
     if getattr(args, "up", field) is None:  # a command with a view
         args.up = tuple(field.up)
     args.straightening = field.straightening  # cameras of scenes are moved by it
@@ -182,9 +183,7 @@ def in_world_of_scene(
     given = getattr(args, "frame_file", None)
     if given is not None:
         frame = read_frame(given)
-        motion = out_of_frame(frame, source)
-        field = moved_field(field, motion)
-        _say_moved(args, given, frame, motion)
+        field = _moved(args, field, given, frame, out_of_frame(frame, source))
     if named is None:
         return field
     folder, views = named[0], named[1].moved(field.straightening)
@@ -196,8 +195,7 @@ def in_world_of_scene(
             frame = read_frame(path)
             motion = out_of_frame(frame, source)
             if not likeness(field, views.glimpses, motion).is_doubtful:
-                _say_moved(args, path, frame, motion)
-                return moved_field(field, motion)
+                return _moved(args, field, path, frame, motion)
             reason += f", nor does {path}"
     print(
         f"warpcage: warning: {args.field} and the cameras of {folder} do not belong together: {reason}", file=sys.stderr
@@ -205,29 +203,24 @@ def in_world_of_scene(
     return field
 
 
-def _say_moved(args: argparse.Namespace, path: PathLike, frame: Similarity, motion: Similarity) -> None:
-    """Report that a field was taken out of nerfstudio's frame; set `args.is_moved` and `args.frame_motion`."""
+def _moved(
+    args: argparse.Namespace, field: AnyField, path: PathLike, frame: Similarity, motion: Similarity
+) -> AnyField:
+    """A field taken out of nerfstudio's frame, which is reported; sets `args.is_moved` and `args.frame_motion`."""
+    moved = moved_field(field, motion)
     args.is_moved, args.frame_motion = True, motion  # camera paths of nerfstudio go along
     print(
         f"warpcage: {args.field} is moved out of nerfstudio's coordinates by {path}: {1.0 / frame.scale:.4g} times as "
         "large, turned and moved to where its dataset is",
         file=sys.stderr,
     )
+    return moved
 
 
 def read_scene(args: argparse.Namespace, background: str | ArrayLike, orient: str | None = None) -> Scene:
     """The scene folder of a command, by its --split, --downscale, --format and --masks. See `load_scene`."""
-    return load_scene(
-        args.scene,
-        split=args.split,
-        downscale=args.downscale,
-        format=args.format,
-        background=background,
-        masks=args.masks,
-        orient=orient,
-        cameras=args.cameras,
-        model=args.model,
-    )
+    spec: dict[str, Any] = {name: getattr(args, name) for name in options_of(SceneSpec)} | {"background": background}
+    return load_scene(args.scene, **spec, orient=orient, model=args.model)
 
 
 def is_field(path: str) -> bool:
@@ -254,7 +247,7 @@ def scene_masks(path: str, field: AnyField) -> dict[str, Any]:
 
 def require_field_scale(args: argparse.Namespace) -> None:
     """Raises ValueError for --scene-scale where no field takes it."""
-    if getattr(args, "scene_scale", 1.0) != 1.0 and not str(args.field).lower().endswith(".npz"):
+    if getattr(args, "scene_scale", None) not in (None, 1.0) and not str(args.field).lower().endswith(".npz"):
         raise InputError(f"--scene-scale is for fields (.npz), got {args.field!r}")
 
 
@@ -269,17 +262,20 @@ def require_deformation(args: argparse.Namespace, what: str) -> None:
 FRAMED_POINTS, MIN_STAYING = 5000, 0.005
 
 
-def visible_points(field: AnyField, deformation: Deformation | None, frame: str | None) -> np.ndarray:
-    """(n, 3) points around what a picture shows, world units: vertices of the cages at rest and posed (frame "posed")
-    with what lies in none of them and stays, else the corners of the field's box."""
+def seen_points(
+    args: argparse.Namespace, field: AnyField, deformation: Deformation | None, objects: Objects | None
+) -> np.ndarray:
+    """(n, 3) points around what a picture shows, world units: with --frame posed the vertices of the cages, at rest and
+    posed, and what lies in none of them and stays; else the corners of the field's box. With those of other objects."""
     # Usually the field at rest, so that pictures before and after an edit, and of all its poses, can be compared.
-    if deformation is not None and frame == "posed":
+    points = shown_corners(field)
+    if deformation is not None and args.frame == "posed":
         seen = staying = object_points(field, FRAMED_POINTS)
         for edit in deformation.edits:
             staying = staying[~inside_mesh(staying, edit.cage)]
         few = len(staying) <= MIN_STAYING * len(seen)
-        return deformation.vertices if few else np.concatenate([deformation.vertices, staying])
-    return shown_corners(field)
+        points = deformation.vertices if few else np.concatenate([deformation.vertices, staying])
+    return points if objects is None else objects.points(points)
 
 
 def make_deformer(field: AnyField, deformation: Deformation, args: argparse.Namespace) -> Deformer:
@@ -293,40 +289,14 @@ def set_lattice(args: argparse.Namespace, camera: Camera) -> None:
         args.resolution = picture_cells(camera)
 
 
-def posed_scene(
-    field: AnyField, deformation: Deformation | None, args: argparse.Namespace
-) -> tuple[AnyField | Deformer, list[Cage]]:
-    """What renders the scene in its last pose, the field itself where nothing moves, and the cages of an overlay."""
-    if deformation is None or deformation.is_still:
-        cages = [] if deformation is None else deformation.posed
-        return field, [cage for cage in cages if cage is not None]
-    deformer = make_deformer(field, deformation, args).pose(deformation.posed)
-    return deformer, render.drawn_cages(deformer)
-
-
-def is_transparent(args: argparse.Namespace) -> bool:
-    """Whether pictures have opacity instead of a background; refuses both."""
-    if args.transparent and args.background not in (None, TRANSPARENT):
-        raise InputError("--transparent cannot be combined with --background: give one of them")
-    return args.transparent or args.background == TRANSPARENT
-
-
 def shot_of(args: argparse.Namespace) -> FilmSpec:
     """How the options of a command have pictures made; those that it does not have are the defaults."""
-    given = {name: getattr(args, name, None) for name in options_of(FilmSpec)}
-    if getattr(args, "transparent", False) and is_transparent(args):
+    given = {name: getattr(args, name) for name in options.given(args, *options_of(FilmSpec))}
+    if getattr(args, "transparent", False):
+        if args.background not in (None, TRANSPARENT):
+            raise InputError("--transparent cannot be combined with --background: give one of them")
         given["background"] = TRANSPARENT
-    return FilmSpec(**{name: value for name, value in given.items() if value is not None})
-
-
-def require_fillable(args: argparse.Namespace, field: AnyField) -> None:
-    """Raises ValueError where --fill has nothing to fill."""
-    if not args.fill:
-        return
-    require_deformation(args, "--fill")
-    if args.background is not None or args.transparent:
-        raise InputError("--fill continues the field's own background: it cannot be combined with --background")
-    render.require_fillable(field, "--fill")
+    return FilmSpec(**given)
 
 
 def read_shot(
@@ -334,8 +304,12 @@ def read_shot(
 ) -> tuple[AnyField, Deformation | None, Objects | None]:
     """The field of a command, its deformation, and the scene of several objects that they stand in; None: no such.
     reader: None takes one pose an edit; of_voxels: an option of the command that needs a field of voxels."""
+    shot_of(args).check()
     if args.fill and (args.add or is_stage(args.field)):
         raise InputError("--fill is for one field: leave it out for a scene of several objects")
+    for option in ("--overlay" if args.overlay else "", of_voxels, "--fill" if args.fill else ""):
+        if option:
+            require_deformation(args, option)
     reader, stage, deformation, moving = reader or edit_reader(args), None, None, []
     if of_file := is_stage(args.field):
         stage = _read_stage(args)
@@ -345,7 +319,8 @@ def read_shot(
     if of_voxels:
         render.require_voxels(field, of_voxels)
     if stage is None:
-        require_fillable(args, field)
+        if args.fill:
+            render.require_fillable(field, "--fill")
         deformation = read_deformation(args, field, reader)
         if not args.add and not getattr(args, "save_stage", None):
             return field, deformation, None

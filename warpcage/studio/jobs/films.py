@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import concurrent.futures
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import os
 import pathlib
@@ -67,14 +69,13 @@ class FilmJob:
         """Write the job file, and beside it arrays of each cage at rest, its faces and poses; returns how many frames.
         They are taken one by one, equal poses are written once; a field in the job's folder is named from there."""
         path = pathlib.Path(path)
+        alone = len(self.edits) == 1
         with contextlib.ExitStack() as files:  # arrays take their places after the job file, or not at all
             cages = [
-                _EditArrays(edit, path.with_name(f"{path.stem}{number}"), files)
-                for edit, number in zip(self.edits, _numbers(len(self.edits)), strict=True)
+                _EditArrays(edit, path.with_name(path.stem if alone else f"{path.stem}.{number}"), files)
+                for number, edit in enumerate(self.edits, 1)
             ]
-            usual = {"kind": "frame", "field": _reference(self.field, path.parent), **self.spec}
-            alone = len(cages) == 1
-            defaults = usual | (cages[0].spec if alone else {})
+            defaults = {"kind": "frame", "field": _reference(self.field, path.parent), **self.spec}
 
             def moment(camera: Camera, poses: Sequence[np.ndarray | None]) -> dict[str, Any]:
                 posed = [cage.posed(pose).get("posed") for cage, pose in zip(cages, poses, strict=True)]
@@ -93,13 +94,9 @@ class FilmJob:
                         "extra": {"frame": frame.index},
                     }
                 for cage in cages:
-                    cage.close()
+                    cage.finish()
 
-            return write_jobs(path, items(), defaults=defaults, extra=self.extra)
-
-
-def _numbers(count: int) -> list[str]:
-    return [""] if count == 1 else [f".{number}" for number in range(1, count + 1)]
+            return write_jobs(path, items(), defaults=defaults | (cages[0].spec if alone else {}), extra=self.extra)
 
 
 def _reference(file: PathLike, folder: pathlib.Path) -> str:
@@ -109,88 +106,58 @@ def _reference(file: PathLike, folder: pathlib.Path) -> str:
 
 
 class _EditArrays:
-    """The arrays of an edit: its cage at rest, and its poses, each of which is written once."""
+    """The arrays of an edit: its cage at rest, and its poses, each of which is written once, in a file that grows."""
 
     def __init__(self, edit: CageEdit, stem: pathlib.Path, files: contextlib.ExitStack):
         rest, faces, poses = (stem.with_name(f"{stem.name}.{part}.npy") for part in ("rest", "faces", "poses"))
         for path, array in ((rest, edit.cage.vertices), (faces, edit.cage.faces)):
             np.save(files.enter_context(atomic_path(path)), array, allow_pickle=False)
-        self._poses = poses.name
-        self._rows = None if edit.remove else _Rows(files.enter_context(atomic_path(poses)), edit.cage.vertices.shape)
-        if self._rows is not None:
-            files.callback(self._rows.close)
-        self._known: dict[bytes, int] = {}
-        cage = {"vertices": rest.name, "faces": faces.name}
-        spec = edit_spec(edit, cage, None if edit.remove else self._poses).rest
+        self._poses, self._shape = poses.name, edit.cage.vertices.shape
+        self._rows: dict[bytes, int] = {}  # of poses by their hash
+        self._file: IO[bytes] | None = None
+        if not edit.remove:
+            self._file = files.enter_context(files.enter_context(atomic_path(poses)).open("r+b"))
+            self._start = self._write_header(self._file)
+        spec = edit_spec(edit, {"vertices": rest.name, "faces": faces.name}, None if edit.remove else poses.name).rest
         self.spec = {name: spec[name] for name in EDIT_ORDER if name in spec}
 
     def posed(self, vertices: np.ndarray | None) -> dict[str, str]:
         """The keys of a pose."""
-        if self._rows is None:
+        if self._file is None:
             return {}
         assert vertices is not None
-        row = np.ascontiguousarray(vertices, np.float64)
-        key = hashlib.blake2b(row.tobytes(), digest_size=16).digest()
-        if key not in self._known:
-            self._known[key] = self._rows.append(row)
-        return {"posed": f"{self._poses}#{self._known[key]}"}
+        row = np.ascontiguousarray(vertices, np.float64).tobytes()
+        key = hashlib.blake2b(row, digest_size=16).digest()
+        if key not in self._rows:
+            self._file.write(row)
+            self._rows[key] = len(self._rows)
+        return {"posed": f"{self._poses}#{self._rows[key]}"}
 
-    def close(self) -> None:
-        """Finish the file of poses."""
-        if self._rows is not None:
-            self._rows.close()
-
-
-class _Rows:
-    """An .npy file of float64 that grows by a row at a time; its header is written again at the end."""
-
-    def __init__(self, path: pathlib.Path, shape: tuple[int, ...]):
-        self._shape, self._count = shape, 0
-        self._file: IO[bytes] = path.open("r+b")
-        self._start = self._write_header()
-
-    def append(self, row: np.ndarray) -> int:
-        """Write a row. Returns its number."""
-        self._file.write(row.tobytes())
-        self._count += 1
-        return self._count - 1
-
-    def close(self) -> None:
-        """Say in the header how many rows there are."""
-        if self._file.closed:
-            return
-        with self._file:
+    def finish(self) -> None:
+        """Write into the header of the poses how many there are."""
+        if self._file is not None:
             self._file.seek(0)
-            if self._write_header() != self._start:
+            if self._write_header(self._file) != self._start:
                 raise StateError("NumPy wrote a header of another length")
 
-    def _write_header(self) -> int:
+    def _write_header(self, file: IO[bytes]) -> int:
         # with room for the digits of a first axis that grows
-        header = {"descr": "<f8", "fortran_order": False, "shape": (self._count, *self._shape)}
-        np.lib.format.write_array_header_1_0(self._file, header)
-        return self._file.tell()
+        header = {"descr": "<f8", "fortran_order": False, "shape": (len(self._rows), *self._shape)}
+        np.lib.format.write_array_header_1_0(file, header)
+        return file.tell()
 
 
+@dataclasses.dataclass
 class FilmWorkers:
     """Workers that make the frames of a film."""
 
-    def __init__(
-        self,
-        job: FilmJob,
-        frames: Sequence[FilmFrame],
-        settings: dict[str, Any],  # all that decides how they look, as JSON has it; "format" is their ending
-        *,
-        workers: int,
-        device: str | None,
-        quiet: bool,
-        overwrite: bool = False,  # replace frames of another film in the folder
-    ):
-        self.job, self.frames, self.settings = job, frames, settings
-        self.workers, self.device, self.quiet, self.overwrite = workers, device, quiet, overwrite
-
-    @property
-    def cameras(self) -> list[Camera]:
-        return [frame.camera for frame in self.frames]
+    job: FilmJob
+    frames: Sequence[FilmFrame]
+    settings: dict[str, Any]  # all that decides how they look, as JSON has it; "format" is their ending
+    workers: int
+    device: str | None
+    quiet: bool
+    overwrite: bool  # replace frames of another film in the folder
 
     def make_frames(self, folder: pathlib.Path, report: Callable[[], None] = lambda: None) -> int:
         """Make the frames of a folder that are not there yet; returns how many were there.
@@ -207,7 +174,8 @@ class FilmWorkers:
                 finally:
                     _collect(folder / WORKPLACE, folder)
 
-        return make_folder(folder, self.cameras, make, self.settings, overwrite=self.overwrite)
+        cameras = [frame.camera for frame in self.frames]
+        return make_folder(folder, cameras, make, self.settings, overwrite=self.overwrite)
 
     def make_film(self, output: pathlib.Path, rate: Fraction, *, loop: bool) -> None:
         """Make the frames in a folder beside a film, and the film of them, in order, as they come.
@@ -272,45 +240,29 @@ class FilmEncoder:
     """Writes a film of frames that others write, in another thread (`with`). The block ends when it is written."""
 
     def __init__(self, output: pathlib.Path, rate: Fraction, loop: bool, places: list[list[pathlib.Path]]):
-        self._output, self._rate, self._loop, self._places = output, rate, loop, places
-        self._news, self._ended = threading.Event(), threading.Event()
-        self._stopped = False
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._encode, name="warpcage-film")
+        self._encode = functools.partial(write_film, output, map(self.frame, places), rate, loop=loop)
+        self._news, self._stopped = threading.Event(), False
+        self._thread = concurrent.futures.ThreadPoolExecutor(1, "warpcage-film")
 
     def report(self) -> None:
         """There may be frames. Raises the error of the encoder, if it has one."""
         self._news.set()
-        if self._error is not None:
-            raise self._error
+        if self._written.done():
+            self._written.result()
 
     def __enter__(self) -> FilmEncoder:
-        self._thread.start()
+        self._written = self._thread.submit(self._encode)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             if kind is None:
                 self._news.set()
-                self._ended.wait()
+                self._written.result()
         finally:
             self._stopped = True
             self._news.set()
-            self._ended.wait()
-        if kind is None and self._error is not None:
-            raise self._error
-
-    def _encode(self) -> None:
-        try:
-            write_film(self._output, self._frames(), self._rate, loop=self._loop)
-        except BaseException as error:
-            self._error = error
-        finally:
-            self._ended.set()
-
-    def _frames(self) -> Iterator[np.ndarray]:
-        for places in self._places:
-            yield self.frame(places)
+            self._thread.shutdown()
 
     def frame(self, places: list[pathlib.Path]) -> np.ndarray:
         """The frame that comes to one of some places, once it is there."""

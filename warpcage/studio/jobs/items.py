@@ -6,11 +6,11 @@ import abc
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 from ...core.checks import checked_bounds, checked_number, checked_positive, checked_whole, shown
-from ...core.names import FIELD_COORDINATES, TRANSPARENT, coordinate_kind, renamed_keys
+from ...core.names import TRANSPARENT, coordinate_kind, renamed_keys
 from ...core.spec import (
     Checker,
     Values,
@@ -54,9 +54,10 @@ class Item(abc.ABC):
     )
     extra: Any = option(None, Values(anything), "any JSON that is kept with its record")
 
-    #: Its kind's name, JSON keys besides its options, and all kinds.
+    #: Its kind's name, JSON keys besides its options, those that it needs, and all kinds.
     kind: ClassVar[str]
     short: ClassVar[dict[str, Checker]]
+    needed: ClassVar[dict[str, str]]  # messages by the key that is missing
     kinds: ClassVar[dict[str, type[Item]]] = {}
 
     __eq__, __hash__ = object.__eq__, object.__hash__
@@ -113,11 +114,13 @@ class Item(abc.ABC):
 
     @classmethod
     def _made(cls, entry: Mapping[str, Any], usual: dict[str, Any]) -> Item:
-        given = {word: value for word, value in usual.items() if word not in entry}
+        given = {key: value for key, value in usual.items() if key not in entry}
         given |= checked_keys(entry, cls.known(), f"an item of kind {cls.kind!r}")
         given.pop("kind", None)
         if "id" not in given:
             raise InputError('an item needs an "id", such as "frame_0001"')
+        if missing := [message for key, message in cls.needed.items() if key not in given]:
+            raise InputError(missing[0])
         return cls(**cls._completed(given))
 
     @classmethod
@@ -136,7 +139,7 @@ class Defaults:
     def of(self, maker: type[Item]) -> dict[str, Any]:
         """The checked keys that a kind of item takes. Raises ValueError for one that cannot be."""
         if maker.kind not in self._checked:
-            usual = {word: value for word, value in self.spec.items() if word in maker.known()}
+            usual = {name: value for name, value in self.spec.items() if name in maker.known()}
             self._checked[maker.kind] = checked_keys(usual, maker.known(), "'defaults'")
         return self._checked[maker.kind]
 
@@ -146,11 +149,11 @@ def digest(value: Any) -> str:
     return hashlib.blake2b(canonical(value).encode(), digest_size=8).hexdigest()
 
 
-def output_path(path: Any, item_id: str, word: str) -> str:
+def output_path(path: Any, item_id: str, name: str) -> str:
     """A checked name of an output, with the item's id put in. Raises ValueError for others."""
-    found = safe_name(path.replace(ID, item_id) if isinstance(path, str) else path, word)
+    found = safe_name(path.replace(ID, item_id) if isinstance(path, str) else path, name)
     if found.lower() in RESERVED:
-        raise InputError(f"{word} cannot be {found!r}, which is the run's own")
+        raise InputError(f"{name} cannot be {found!r}, which is the run's own")
     return found
 
 
@@ -173,38 +176,34 @@ PART_ENDINGS = {
 OF_MOMENTS = {"rgb": (".png", ".jpg", ".jpeg", ".exr"), "film": ".npz", "pose": ".npy", "record": ".json"}
 
 
-def _edits(value: Any, word: str) -> tuple[EditSpec, ...]:
+def _edits(value: Any, name: str) -> tuple[EditSpec, ...]:
     if not isinstance(value, list) or not value:
-        raise InputError(f"{word} must be a list of at least one edit, got {shown(value)}")
-    return tuple(EditSpec.from_json(entry, f"edit {number} of {word}") for number, entry in enumerate(value, 1))
+        raise InputError(f"{name} must be a list of at least one edit, got {shown(value)}")
+    return tuple(EditSpec.from_json(entry, f"edit {number} of {name}") for number, entry in enumerate(value, 1))
 
 
-def _camera(value: Any, word: str) -> Any:
+def _camera(value: Any, name: str) -> Any:
     if isinstance(value, str) and value:
-        return checked_text(value, word)
+        return checked_text(value, name)
     if not isinstance(value, dict) or not value:
         raise InputError(
-            f"{word} must be an object with {', '.join(_PINHOLE)}, or one with eye, target, width and height; or "
+            f"{name} must be an object with {', '.join(_PINHOLE)}, or one with eye, target, width and height; or "
             f'"cameras.json#NAME" or "transforms.json#3", got {shown(value)}'
         )
     if "eye" in value or ("target" in value and "camera_to_world" not in value):
-        checked_keys(value, _LOOKING, word)
+        checked_keys(value, _LOOKING, name)
     needed = {name: each for name, each in _LOOKING.items() if name not in _USUAL} if "eye" in value else _PINHOLE
-    for name, check in needed.items():
-        if value.get(name) is None:
-            raise InputError(f"{word} lacks {name!r}")
-        check(value[name], f"{name!r} of {word}")
+    for key, check in needed.items():
+        if value.get(key) is None:
+            raise InputError(f"{name} lacks {key!r}")
+        check(value[key], f"{key!r} of {name}")
     return value
 
 
-def _vector(value: Any, word: str) -> tuple[float, ...]:
-    return numbers(value, word, 3)
-
-
-def _pose(value: Any, word: str) -> Any:
+def _pose(value: Any, name: str) -> Any:
     if not isinstance(value, list) or len(value) != 4:
-        raise InputError(f"{word} must be four rows of four numbers, got {shown(value)}")
-    return [numbers(row, f"a row of {word}", 4) for row in value]
+        raise InputError(f"{name} must be four rows of four numbers, got {shown(value)}")
+    return [numbers(row, f"a row of {name}", 4) for row in value]
 
 
 _SIDE = whole(1, 65_536).check
@@ -218,7 +217,7 @@ _PINHOLE: dict[str, Checker] = {
 }
 
 _LOOKING: dict[str, Checker] = {
-    **dict.fromkeys(("eye", "target", "up"), _vector),
+    **dict.fromkeys(("eye", "target", "up"), functools.partial(numbers, count=3)),
     "fov_degrees": checked_positive,
     **dict.fromkeys(("width", "height"), _SIDE),
 }
@@ -226,37 +225,44 @@ _LOOKING: dict[str, Checker] = {
 _USUAL = ("up", "fov_degrees")
 
 
-def _poses(value: Any, word: str) -> list[Any]:
+def _poses(value: Any, name: str) -> list[Any]:
     if not isinstance(value, list):
-        raise InputError(f"{word} must be a list of a pose for each edit, null where it removes, got {shown(value)}")
-    return [None if each is None else EDIT_KEYS["posed"](each, f"a pose of {word}") for each in value]
+        raise InputError(f"{name} must be a list of a pose for each edit, null where it removes, got {shown(value)}")
+    return [None if each is None else EDIT_KEYS["posed"](each, f"a pose of {name}") for each in value]
 
 
 _MOMENT: dict[str, Checker] = {"camera": _camera, "posed": _poses}
 
 
-def _moments(value: Any, word: str) -> tuple[dict[str, Any], ...]:
+def _moments(value: Any, name: str) -> tuple[dict[str, Any], ...]:
     if not isinstance(value, list) or not value:
-        raise InputError(f"{word} must be a list of objects with a 'camera', 'posed', or both, got {shown(value)}")
-    return tuple(checked_keys(each, _MOMENT, f"moment {number} of {word}") for number, each in enumerate(value, 1))
+        raise InputError(f"{name} must be a list of objects with a 'camera', 'posed', or both, got {shown(value)}")
+    return tuple(checked_keys(each, _MOMENT, f"moment {number} of {name}") for number, each in enumerate(value, 1))
 
 
-def _size(value: Any, word: str) -> tuple[int, ...]:
+def _size(value: Any, name: str) -> tuple[int, ...]:
     sides = value if isinstance(value, list | tuple) else [value]
     if not 1 <= len(sides) <= 2:
-        raise InputError(f"{word} must be a width, or [width, height], in pixels, got {shown(value)}")
-    return tuple(_SIDE(side, word) for side in sides)
+        raise InputError(f"{name} must be a width, or [width, height], in pixels, got {shown(value)}")
+    return tuple(_SIDE(side, name) for side in sides)
 
 
-def _frame_outputs(value: Any, word: str) -> dict[str, str]:
+def _output(*endings: str) -> Checker:
+    def check(value: Any, name: str) -> str:
+        if not isinstance(value, str) or not value.lower().endswith(endings):
+            raise InputError(f"{name} must end in {' '.join(endings)}, got {shown(value)}")
+        return value
+
+    return check
+
+
+def _frame_outputs(value: Any, name: str) -> dict[str, str]:
     if not isinstance(value, dict) or not value:
-        raise InputError(f'{word} must be an object such as {{"rgb": "{ID}.png", "depth": "{ID}.npy"}}')
+        raise InputError(f'{name} must be an object such as {{"rgb": "{ID}.png", "depth": "{ID}.npy"}}')
     for part, path in value.items():
         if part not in PART_ENDINGS:
-            raise InputError(f"{word} has no {shown(part)}, only {', '.join(PART_ENDINGS)}")
-        endings = PART_ENDINGS[part]
-        if not isinstance(path, str) or not path.lower().endswith(endings):
-            raise InputError(f"{part!r} of {word} must end in {' '.join(endings)}, got {shown(path)}")
+            raise InputError(f"{name} has no {shown(part)}, only {', '.join(PART_ENDINGS)}")
+        _output(*PART_ENDINGS[part])(path, f"{part!r} of {name}")
     return dict(value)
 
 
@@ -298,6 +304,7 @@ class FrameItem(Item, ShotSpec):
 
     kind: ClassVar[str] = "frame"
     short: ClassVar[dict[str, Checker]] = EDIT_KEYS  # of one edit
+    needed: ClassVar[dict[str, str]] = {key: f"a frame needs a {key!r}" for key in ("field", "camera")}
 
     @property
     def group(self) -> str:
@@ -327,17 +334,16 @@ class FrameItem(Item, ShotSpec):
     @classmethod
     def _made(cls, entry: Mapping[str, Any], usual: dict[str, Any]) -> Item:
         if entry.get("edits") is not None:  # which stands in place of the one edit that defaults may have
-            usual = {word: value for word, value in usual.items() if word not in cls.short}
+            usual = {name: value for name, value in usual.items() if name not in cls.short}
         elif entry.get("cage") is not None:
-            usual = {word: value for word, value in usual.items() if word != "edits"}
-        return super()._made(entry, usual)
+            usual = {name: value for name, value in usual.items() if name != "edits"}
+        item: Any = super()._made(entry, usual)
+        item.check()
+        return item
 
     @classmethod
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
-        for word in ("field", "camera"):
-            if word not in given:
-                raise InputError(f"a frame needs a {word!r}")
-        short = {word: given.pop(word) for word in cls.short if word in given}
+        short = {name: given.pop(name) for name in cls.short if name in given}
         if short and "edits" in given:
             raise InputError(f"{next(iter(short))!r} and 'edits' do not go together: put it into one of the edits")
         if short:
@@ -348,47 +354,41 @@ class FrameItem(Item, ShotSpec):
         given["outputs"] = {
             part: output_path(path, given["id"], f"{part!r} of 'outputs'") for part, path in outputs.items()
         }
-        _require_possible(given)
         return given
 
-
-def _require_possible(given: dict[str, Any]) -> None:
-    """Raise ValueError for keys of a frame that do not go together."""
-    outputs, edits = given["outputs"], given.get("edits")
-    if any(edit.held != "cut" and not edit.falloff for edit in edits or ()):
-        raise InputError("'held' names the sides that an edit fades towards: give it a 'falloff' too")
-    if len(set(outputs.values())) < len(outputs):
-        raise InputError(f"two of the 'outputs' are one file: {', '.join(outputs.values())}")
-    needing = [part for part in ("masks", "reveal", "fold", "outside") if part in outputs]
-    needing += [word for word in ("fill", "overlay") if given.get(word)]
-    if needing and not edits:
-        raise InputError(f"{needing[0]!r} needs a deformation: 'cage' and 'posed', or 'edits'")
-    removed = [edit.remove for edit in edits or ()]
-    for number, moment in enumerate(given.get("moments", ()), 1):
-        if "posed" in moment and [pose is None for pose in moment["posed"]] != removed:
-            raise InputError(f"moment {number} of 'moments' needs a pose for each edit, null for one that removes")
-        if sharp := [part for part, path in outputs.items() if not path.lower().endswith(OF_MOMENTS.get(part, ()))]:
-            raise InputError(f"'moments' blur pictures in colours: leave {outputs[sharp[0]]!r} of 'outputs' out")
-    if given.get("resolution") == PRECISE:
-        kind = coordinate_kind(given.get("coordinates", FIELD_COORDINATES))
-        kind.require_precise("give 'resolution' a number, or leave it out")
-    clear = given.get("background") == TRANSPARENT
-    if clear and outputs.get("rgb", "").lower().endswith((".jpg", ".jpeg")):
-        raise InputError("a JPEG has no opacity: write a .png or .exr, or name another 'background'")
-    if given.get("fill") and given.get("background") is not None:
-        raise InputError("'fill' continues the field's own background: it cannot be combined with 'background'")
+    def check(self, named: Callable[[str], str] = repr) -> None:
+        outputs = self.outputs
+        if any(edit.held != "cut" and not edit.falloff for edit in self.edits):
+            raise InputError("'held' names the sides that an edit fades towards: give it a 'falloff' too")
+        if len(set(outputs.values())) < len(outputs):
+            raise InputError(f"two of the 'outputs' are one file: {', '.join(outputs.values())}")
+        needing = [part for part in ("masks", "reveal", "fold", "outside") if part in outputs]
+        needing += [name for name in ("fill", "overlay") if getattr(self, name)]
+        if needing and not self.edits:
+            raise InputError(f"{needing[0]!r} needs a deformation: 'cage' and 'posed', or 'edits'")
+        removed = [edit.remove for edit in self.edits]
+        for number, moment in enumerate(self.moments, 1):
+            if "posed" in moment and [pose is None for pose in moment["posed"]] != removed:
+                raise InputError(f"moment {number} of 'moments' needs a pose for each edit, null for one that removes")
+            if sharp := [path for part, path in outputs.items() if not path.lower().endswith(OF_MOMENTS.get(part, ()))]:
+                raise InputError(f"'moments' blur pictures in colours: leave {sharp[0]!r} of 'outputs' out")
+        if self.resolution == PRECISE:
+            coordinate_kind(self.coordinates).require_precise("give 'resolution' a number, or leave it out")
+        if self.background == TRANSPARENT and outputs.get("rgb", "").lower().endswith((".jpg", ".jpeg")):
+            raise InputError("a JPEG has no opacity: write a .png or .exr, or name another 'background'")
+        super().check(named)
 
 
-def _options(value: Any, word: str) -> dict[str, Any]:
+def _options(value: Any, name: str) -> dict[str, Any]:
     from ...fitting.fit import REPRESENTATIONS  # these need Warp
     from ...fitting.options import checked_options
     from ...fitting.splats.options import checked_splat_options
 
     if not isinstance(value, dict):
-        raise InputError(f'{word} must be an object such as {{"quality": "fast"}}, got {shown(value)}')
+        raise InputError(f'{name} must be an object such as {{"quality": "fast"}}, got {shown(value)}')
     kind = value.get("representation", "voxels")
     if kind not in REPRESENTATIONS or (kind == "splats" and "bounds" in value):
-        raise InputError(f"{word}: 'representation' must be voxels, or splats without 'bounds', got {shown(kind)}")
+        raise InputError(f"{name}: 'representation' must be voxels, or splats without 'bounds', got {shown(kind)}")
     try:
         check = checked_options if kind == "voxels" else checked_splat_options
         check({name: each for name, each in value.items() if name not in ("seed", "bounds", "representation")})
@@ -396,17 +396,8 @@ def _options(value: Any, word: str) -> dict[str, Any]:
         if value.get("bounds") is not None:
             checked_bounds(value["bounds"])
     except (ValueError, TypeError) as error:
-        raise InputError(f"{word}: {error}") from None
+        raise InputError(f"{name}: {error}") from None
     return value
-
-
-def _output(*endings: str) -> Checker:
-    def check(value: Any, word: str) -> str:
-        if not isinstance(value, str) or not value.lower().endswith(endings):
-            raise InputError(f"{word} must end in {' '.join(endings)}, got {shown(value)}")
-        return value
-
-    return check
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -418,6 +409,7 @@ class FitItem(Item, FitSceneSpec):
 
     kind: ClassVar[str] = "fit"
     short: ClassVar[dict[str, Checker]] = {"output": _output(".npz", *SPLAT_ENDINGS)}
+    needed: ClassVar[dict[str, str]] = {"scene": "a fit needs a 'scene', the folder of its pictures"}
 
     @property
     def group(self) -> str:
@@ -425,19 +417,16 @@ class FitItem(Item, FitSceneSpec):
 
     @classmethod
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
-        if "scene" not in given:
-            raise InputError("a fit needs a 'scene', the folder of its pictures")
-        refined = given.get("options", {}).get("refine_cameras") is True  # of "auto" it is not known
-        of_splats = given.get("options", {}).get("representation") == "splats"
+        options, outputs = given.get("options", {}), given.get("outputs")
+        of_splats = options.get("representation") == "splats"
+        endings, usual = (SPLAT_ENDINGS, ".ply") if of_splats else ((".npz",), ".npz")
         if "output" in given:
-            _output(*SPLAT_ENDINGS if of_splats else (".npz",))(given["output"], "'output'")
-        if of_splats:
-            named = given.get("output") or (given.get("outputs") or {}).get("field", "")
-            ending = next((ending for ending in SPLAT_ENDINGS if str(named).lower().endswith(ending)), ".ply")
-            given["outputs"] = _outputs(given, {"field": ending})
-            return given
-        given["outputs"] = _outputs(given, {"field": ".npz"} | ({"cameras": ".cameras.json"} if refined else {}))
-        return given
+            _output(*endings)(given["output"], "'output'")
+        named = given.get("output") or (outputs.get("field") if isinstance(outputs, dict) else "")
+        files = {"field": next((ending for ending in endings if str(named).lower().endswith(ending)), usual)}
+        if options.get("refine_cameras") is True and not of_splats:  # of "auto" it is not known
+            files["cameras"] = ".cameras.json"
+        return given | {"outputs": _outputs(given, files)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -453,6 +442,7 @@ class EvaluateItem(Item, SceneSpec):
 
     kind: ClassVar[str] = "evaluate"
     short: ClassVar[dict[str, Checker]] = {"output": _output(".json")}
+    needed: ClassVar[dict[str, str]] = {key: f"an evaluation needs a {key!r}" for key in ("field", "scene")}
 
     @property
     def group(self) -> str:
@@ -464,11 +454,7 @@ class EvaluateItem(Item, SceneSpec):
 
     @classmethod
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
-        for word in ("field", "scene"):
-            if word not in given:
-                raise InputError(f"an evaluation needs a {word!r}")
-        given["outputs"] = _outputs(given, {"report": ".json"})
-        return given
+        return given | {"outputs": _outputs(given, {"report": ".json"})}
 
 
 def _outputs(given: dict[str, Any], endings: dict[str, str]) -> dict[str, str]:
@@ -485,7 +471,7 @@ def _outputs(given: dict[str, Any], endings: dict[str, str]) -> dict[str, str]:
     return {part: output_path(path, given["id"], f"{part!r} of 'outputs'") for part, path in several.items()}
 
 
-#: Items by the word of their kind.
+#: Kinds of items by their names.
 KINDS: dict[str, type[Item]] = Item.kinds
 
 #: Kinds of records, as "records" of a job's header has them.

@@ -31,8 +31,6 @@ from .items import (
     KINDS,
     WEBDATASET,
     Defaults,
-    EvaluateItem,
-    FitItem,
     FrameItem,
     Item,
     record_outputs,
@@ -74,21 +72,19 @@ def parsed_line(data: bytes, where: str, *, first: bool = False) -> dict[str, An
     """The JSON object of a line; where: file and line, for messages.
     first: whether it is the first of its file, which may begin with a mark of its encoding."""
     try:
-        text = data.decode("utf-8-sig" if first else "utf-8")
-        content = _DECODER.decode(text)
+        content = _DECODER.decode(data.decode("utf-8-sig" if first else "utf-8"))
+        if isinstance(content, dict):
+            return content
+        wrong = f"it must be a JSON object, got {shown(content)}"
     except UnicodeDecodeError:
-        raise InputError(f"{where}: it holds no text (UTF-8)") from None
+        wrong = "it holds no text (UTF-8)"
     except RecursionError:
-        raise InputError(f"{where}: its JSON is nested too deeply") from None
+        wrong = "its JSON is nested too deeply"
     except json.JSONDecodeError as error:
-        raise InputError(
-            f"{where}: its JSON breaks off or is damaged at column {error.colno}: every line is one whole object"
-        ) from None
+        wrong = f"its JSON breaks off or is damaged at column {error.colno}: every line is one whole object"
     except ValueError as error:  # NaN, or a number of too many digits
-        raise InputError(f"{where}: {error}") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{where}: it must be a JSON object, got {shown(content)}")
-    return content
+        wrong = str(error)
+    raise InputError(f"{where}: {wrong}")
 
 
 def checked_item(entry: Mapping[str, Any], defaults: Defaults, records: Mapping[str, Any]) -> Item:
@@ -212,16 +208,14 @@ class JobFile:
     def _checked_header(self) -> dict[str, Any]:
         line = int(self._lines[0])
         where = f"{self.path}, line {line + 1}"
+        begins = f"; a job file begins with {_HEADER_SHAPE}"
         try:
             header = parsed_line(self._data(line), where, first=not line)
         except InputError as error:
-            asks = f"a job file begins with {_HEADER_SHAPE}{seen_note(self.path, 'JSON')}"
-            raise InputError(f"{error}; {asks}") from None
-        if header.get("format") != FORMAT:
-            raise InputError(
-                f"{where}: it is not the header of a job file: its format is {shown(header.get('format'))}, not "
-                f"{FORMAT!r}; a job file begins with {_HEADER_SHAPE}"
-            )
+            raise InputError(f"{error}{begins}{seen_note(self.path, 'JSON')}") from None
+        if (found := header.get("format")) != FORMAT:
+            wrong = f"it is not the header of a job file: its format is {shown(found)}, not {FORMAT!r}"
+            raise InputError(f"{where}: {wrong}{begins}")
         try:
             require_version(header.get("version"), VERSION)
             _check_defaults(header.get("defaults") or {})
@@ -274,22 +268,21 @@ def _check_defaults(defaults: Any) -> None:
     kind = defaults.get("kind")
     if kind is not None:
         checked_choice(kind, "'kind' of 'defaults'", tuple(KINDS))
-    known = {word: None for maker in KINDS.values() for word in maker.known() if word != "id"}
-    for word, value in defaults.items():
-        if word not in known:
-            raise InputError(f"'defaults' has no {shown(word)}, only {listed(known, most=60)}")
-        if value is None:
-            continue
-        makers = [KINDS[kind]] if kind is not None and word in KINDS[kind].known() else KINDS.values()
-        wrong: list[ValueError] = []  # of each kind that takes the word; one that takes the value is enough
-        takers = [maker for maker in makers if word in maker.known()]
-        for maker in takers:
-            try:
-                maker.known()[word](value, f"{word!r} of 'defaults'")
+    known = {key: None for maker in KINDS.values() for key in maker.known() if key != "id"}
+    for key, value in defaults.items():
+        if key not in known:
+            raise InputError(f"'defaults' has no {shown(key)}, only {listed(known, most=60)}")
+        kinds = [KINDS[kind]] if kind is not None and key in KINDS[kind].known() else KINDS.values()
+        checks, wrong = [each.known()[key] for each in kinds if key in each.known()], None
+        for check in () if value is None else checks:
+            try:  # one kind that takes the value is enough
+                check(value, f"{key!r} of 'defaults'")
+                wrong = None
+                break
             except ValueError as error:
-                wrong.append(error)
-        if len(wrong) == len(takers):
-            raise wrong[-1]
+                wrong = error
+        if wrong is not None:
+            raise wrong
 
 
 def check_records(records: Any, defaults: Mapping[str, Any]) -> None:
@@ -330,21 +323,20 @@ def write_jobs(
 ) -> int:
     """Write a job file, whole or not at all, of items that may come one by one, each checked; returns their number.
     records: how outputs are kept together, None is each file for itself; extra: any JSON that is kept in the header."""
-    header: dict[str, Any] = {"format": FORMAT, "version": 1}
-    usual = dict(defaults or {})
+    usual, records = dict(defaults or {}), dict(records or {})
     _check_defaults(usual)
-    check_records(dict(records or {}), usual)
-    warn_of_shards(records or {})
+    check_records(records, usual)
+    warn_of_shards(records)
     complete = Defaults(usual | ({"outputs": record_outputs(records)} if records else {}))
     parts = {"defaults": usual, "records": records, "extra": extra}
-    header |= {name: value for name, value in parts.items() if value}
+    header = {"format": FORMAT, "version": 1} | {name: value for name, value in parts.items() if value}
     count, version = 0, _version_of(usual)
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write(_line(header))
         for count, item in enumerate(items, 1):
             entry = item.to_json() if isinstance(item, Item) else dict(item)
             try:
-                version = max(version, checked_item(entry, complete, records or {}).version)
+                version = max(version, checked_item(entry, complete, records).version)
                 file.write(_line(entry))
             except ValueError as error:
                 raise InputError(f"item {count} ({shown(entry.get('id'))}): {error}") from None
@@ -444,19 +436,13 @@ class Fingerprints:
 def references_of(item: Item) -> list[str]:
     """What an item reads, relative to the folder of its file: files, rows of arrays ("poses.npy#17"), folders of
     scenes."""
+    values = [getattr(item, name, None) for name in ("field", "camera", "scene", "cameras")]
     if isinstance(item, FrameItem):
-        values = [item.field, item.camera]
         for edit in item.edits:
-            values += edit.cage.values() if isinstance(edit.cage, dict) else [edit.cage]
-            values.append(edit.posed)
+            values += [*(edit.cage.values() if isinstance(edit.cage, dict) else [edit.cage]), edit.posed]
         for moment in item.moments:
             values += [moment.get("camera"), *(moment.get("posed") or ())]
-        return [value for value in values if isinstance(value, str)]
-    if isinstance(item, FitItem):
-        return [item.scene, *([item.cameras] if item.cameras else [])]
-    if isinstance(item, EvaluateItem):
-        return [item.field, item.scene, *([item.cameras] if item.cameras else [])]
-    return []
+    return [value for value in values if value and isinstance(value, str)]
 
 
 def file_hash(path: pathlib.Path) -> str:
@@ -491,18 +477,17 @@ class Missing:
 
     def of(self, item: Item) -> str | None:
         """One line on the first that an item names and is not there; None where all is there."""
-        found = (self._wrong(reference) for reference in references_of(item))  # whether it can be used shows later
-        return next((line for line in found if line), None)
+        return next(filter(None, map(self._wrong, references_of(item))), None)  # whether it can be used shows later
 
     def _wrong(self, reference: str) -> str | None:
         name, place = split_reference(reference)
         file = self._files.get(name, lambda: self._looked_at(name))
-        if isinstance(file, str) or file is None or not place:
-            return file if isinstance(file, str) else None
-        rows = file.shape[0] if file.shape else 0
-        if place.isdigit() and int(place) >= rows:
-            return f"{file.path} has rows 0 to {rows - 1}, got {place}" if rows else f"{file.path} has no rows"
-        return None
+        if isinstance(file, str):
+            return file
+        rows = file.shape[0] if file is not None and file.shape else 0
+        if file is None or not place.isdigit() or int(place) < rows:
+            return None
+        return f"{file.path} has rows 0 to {rows - 1}, got {place}" if rows else f"{file.path} has no rows"
 
     def _looked_at(self, name: str) -> NpyFile | str | None:
         """The array in a .npy file, None for another that is there, or a line on what is wrong."""

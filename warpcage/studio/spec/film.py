@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
-from ...core.names import LOOPS, shown
+from ...core.names import LOOPS, TRANSPARENT, shown
 from ...core.spec import Values, flag, fraction, number, one_of, option, whole
 from ...errors import InputError
 from .shot import PICTURE, ShotSpec
@@ -117,3 +118,17 @@ class FilmSpec(ShotSpec):
         default_help="png",
         group=PICTURE,
     )
+
+    def check(self, named: Callable[[str], str] = "--{}".format) -> None:
+        super().check(named)
+        if self.show == "rgb":
+            return
+        shown = f"{named('show')} {self.show}"
+        if self.background == TRANSPARENT:
+            raise InputError(f"{shown} has no opacity: leave out {named('background')} {TRANSPARENT}")
+        if self.format == "exr":
+            raise InputError(
+                f"{named('format')} exr holds colours, opacity and depth together: leave out {named('show')}"
+            )
+        if self.shutter is not None:
+            raise InputError(f"{named('shutter')} blurs colours: leave it out, or {shown}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 from ...coordinate_kinds import COORDINATE_KINDS, names_where
@@ -145,6 +146,14 @@ class ShotSpec:
     overlay: bool = option(
         False, flag(), "draw the cages into the picture", flag="--overlay", default_help="", group=PICTURE
     )
+
+    def check(self, named: Callable[[str], str] = "--{}".format) -> None:
+        """Raises ValueError for options that do not go together; named: what a message calls an option."""
+        if self.fill and self.background is not None:
+            raise InputError(
+                f"{named('fill')} continues the field's own background: it cannot be combined with "
+                f"{named('background')}"
+            )
 
     def deformer_options(self, cells: int) -> dict[str, Any]:
         """The options of a Deformer by its names; cells: of a lattice whose resolution the spec leaves open."""

@@ -104,7 +104,7 @@ class _Step(argparse.Action):
 
 
 def axis_word(text: str) -> str:
-    """A word for a direction, as an argument. Raises argparse.ArgumentTypeError for others."""
+    """A name for a direction, as an argument. Raises argparse.ArgumentTypeError for others."""
     if not is_axis(text):
         raise argparse.ArgumentTypeError(f"must be {AXIS_NAMES}, got {text!r}")
     return text

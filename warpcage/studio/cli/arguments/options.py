@@ -13,16 +13,13 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ....core.names import TRANSPARENT
-from ....core.spec import Option, Values, defaults_of, fraction, number, options_of, positive, whole
+from ....core.spec import Values, defaults_of, fraction, names_of, number, options_of, positive, whole
 from ....edits.spec import EditSpec
 from ....errors import InputError, MissingFileError, StateError
 from ....package import renamed_line
 from ...spec.film import FilmSpec
 from ...spec.scene import FitSceneSpec, FitSpec
 from ...spec.shot import DEFORMATION, PICTURE
-
-#: Sides that pictures are taken from.
-VIEWS = ("corner", "front", "back", "left", "right", "top", "bottom")
 
 # Values
 
@@ -42,7 +39,6 @@ def typed(values: Values) -> Callable[[str], Any]:
 positive_int, whole_number = typed(whole(1)), typed(whole(0))
 positive_float, positive_fraction, finite_float = typed(positive()), typed(fraction()), typed(number())
 length = seconds = typed(number(0.0))
-field_of_view = typed(number(1e-6, 180.0 - 1e-6))  # degrees
 
 
 def color(text: str) -> str | tuple[float, ...]:
@@ -54,6 +50,11 @@ def color(text: str) -> str | tuple[float, ...]:
         return tuple(float(part) for part in parts)
     except ValueError:
         raise argparse.ArgumentTypeError(f"must be a name or three numbers such as 0.2,0.3,0.4, got {text!r}") from None
+
+
+def given(args: argparse.Namespace, *names: str) -> list[str]:
+    """Which of some options of a command were given."""
+    return [name for name in names if getattr(args, name, None) is not None]
 
 
 def check_output(text: str, endings: tuple[str, ...], what: str) -> pathlib.Path:
@@ -106,26 +107,26 @@ class _PictureSizes(argparse.Action):
     """Reads the values of --size."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
-        parts = [part for word in values for part in re.sub(r"^(\d+)[x×](\d+)$", r"\1 \2", word).split()]
-        widen = parts[-1] == "widen"
+        try:
+            setattr(namespace, self.dest, self._size(values))
+        except argparse.ArgumentTypeError as error:
+            parser.error(f"argument {option_string}: {error}")
+
+    def _size(self, values: list[str]) -> PictureSize:
+        parts = [part for value in values for part in re.sub(r"^(\d+)[x×](\d+)$", r"\1 \2", value).split()]
+        widen, shape = parts[-1] == "widen", None
         parts = parts[:-1] if widen else parts
-        shape = None
         if parts and ":" in parts[-1]:
             try:
                 shape = positive_fraction(parts.pop().replace(":", "/"))
             except argparse.ArgumentTypeError:
-                parser.error(f"argument {option_string}: a shape is two numbers such as 16:9, got {values[-1]!r}")
-        try:
-            numbers = [positive_int(word) for word in parts]
-        except argparse.ArgumentTypeError as error:
-            parser.error(f"argument {option_string}: {error}")
-        if len(numbers) > (2 if shape is None else 1) or not (numbers or shape):
-            parser.error(
-                f"argument {option_string}: takes a width, or a width and a height, or a shape such as 16:9, got "
-                f"{' '.join(values)!r}"
-            )
-        width, height = (*numbers, None, None)[:2]
-        setattr(namespace, self.dest, PictureSize(width, height, shape, widen))
+                raise argparse.ArgumentTypeError(f"a shape is two numbers such as 16:9, got {values[-1]!r}") from None
+        sides = [positive_int(part) for part in parts]
+        if len(sides) > (2 if shape is None else 1) or not (sides or shape):
+            what = "a width, or a width and a height, or a shape such as 16:9"
+            raise argparse.ArgumentTypeError(f"takes {what}, got {' '.join(values)!r}")
+        width, height = (*sides, None, None)[:2]
+        return PictureSize(width, height, shape, widen)
 
 
 # Declarations
@@ -141,7 +142,7 @@ class OldName(argparse.Action):
 
 
 class _FrameWord(argparse.Action):
-    """Takes the word of --frame: what a picture is framed by, or the file of the frame that a field is in."""
+    """Takes the value of --frame: what a picture is framed by, or the file of the frame that a field is in."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
         if values.lower().endswith(".json"):
@@ -152,52 +153,36 @@ class _FrameWord(argparse.Action):
             parser.error(f"argument {option_string}: takes rest, posed or a .json file, got {values!r}")
 
 
-class SpecFlag(NamedTuple):
-    """An option of a spec that is a flag."""
-
-    name: str
-    option: Option
-    default: Any
-
-    @property
-    def flag(self) -> str:
-        return str(self.option.flag).split()[0]
-
-    def row(self, default_help: str) -> str:
-        """Its row; default_help: what the default of a command does, empty for that of the spec."""
-        option = self.option._replace(default_help=default_help) if default_help else self.option
-        return f"{option.flag}  {option.full_help}"
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Keyword arguments of `add_argument`."""
-        values, settings = self.option.values, {"dest": self.name, "default": self.default}
-        if values.schema.get("type") == "boolean":
-            action = argparse.BooleanOptionalAction if self.default is None else "store_true"
-            return settings | {"action": action, "default": None}  # a flag that was not given
-        return settings | ({"choices": values.choices} if values.choices else {"type": typed(values)})
-
-
-def _spec_flags(spec: type) -> dict[str, SpecFlag]:
-    return {
-        f"{spec.__name__}.{name}": SpecFlag(name, option, defaults_of(spec)[name])
-        for name, option in options_of(spec).items()
-        if option.flag
-    }
-
-
-#: The options of specs that are flags by spec and name, and by flag where one spec alone has it.
+#: Options of specs that are flags: spec and name by both, and by flag where one spec alone has it.
 SPEC_FLAGS = {
-    key: flag for spec in (EditSpec, FilmSpec, FitSceneSpec, FitSpec) for key, flag in _spec_flags(spec).items()
+    f"{spec.__name__}.{name}": (spec, name)
+    for spec in (EditSpec, FilmSpec, FitSceneSpec, FitSpec)
+    for name, option in options_of(spec).items()
+    if option.flag
 }
-_USES = collections.Counter(flag.flag for flag in SPEC_FLAGS.values())
-SPEC_FLAGS |= {flag.flag: flag for flag in SPEC_FLAGS.values() if _USES[flag.flag] == 1}
+_FLAGS = [(str(options_of(spec)[name].flag).split()[0], (spec, name)) for spec, name in SPEC_FLAGS.values()]
+_USES = collections.Counter(flag for flag, _ in _FLAGS)
+SPEC_FLAGS |= {flag: each for flag, each in _FLAGS if _USES[flag] == 1}
+
+
+def _spec_row(spec: type, name: str, default_help: str) -> tuple[str, dict[str, Any]]:
+    """The row of an option of a spec, and keyword arguments of `add_argument`; default_help: what the default of a
+    command does, empty for that of the spec."""
+    option, default = options_of(spec)[name], defaults_of(spec)[name]
+    option = option._replace(default_help=default_help) if default_help else option
+    row, values, settings = f"{option.flag}  {option.full_help}", option.values, {"dest": name, "default": default}
+    if spec is FilmSpec:  # None is a flag that is not given: `shot_of` puts in the default
+        row, settings["default"] = row.replace("%(default)s", str(default)), None
+    if values.schema.get("type") == "boolean":
+        action = argparse.BooleanOptionalAction if default is None else "store_true"
+        return row, settings | {"action": action, "default": None}
+    return row, settings | ({"choices": values.choices} if values.choices else {"type": typed(values)})
 
 
 def flags_of(spec: type, group: str, *without: str) -> str:
     """The rows of a group of a spec's options, but of some."""
-    flags = _spec_flags(spec).items()
-    return "\n".join(key for key, flag in flags if flag.option.group == group and flag.name not in without)
+    rows = (f"{spec.__name__}.{name}" for name in names_of(spec, group) if name not in without)
+    return "\n".join(row for row in rows if row in SPEC_FLAGS)
 
 
 #: What takes the values of options that stand for them so.
@@ -238,27 +223,24 @@ SHARED_VALUES: dict[str, Any] = {
     "add": {"action": "append"},
     "edit": {"action": "append"},
     "frame": {"action": _FrameWord},
-    "fov": {"type": field_of_view, "default": 40.0},
+    "fov": typed(number(1e-6, 180.0 - 1e-6)),
     "no_masks": {"dest": "masks", "action": "store_false", "default": True},
     "output": {"required": True},
     "posed_up": ("y", "z"),
     "size": {"action": _PictureSizes},
     "split_masks": {"dest": "masks", "action": "store_const", "const": "split"},
-    "view": VIEWS,
+    "view": ("corner", "front", "back", "left", "right", "top", "bottom"),
     "weight_masks": {"dest": "masks", "action": "store_const", "const": "weights"},
 }
 
 #: The axis that points up in cage files: that of their format, or found by an object that is there.
-CAGE_UP = """
---cage-up  axis that points up in cage files (default: y for glTF, z for other formats; Blender exports OBJ with y up
-    unless its export settings say z)
---cage-object
-"""
-
-CAGE_UP_FOUND = """
---cage-up  axis that points up in cage files (default: guessed from the object; if unsure, y for glTF, z for others)
---cage-object
-"""
+CAGE_UP, CAGE_UP_FOUND = (
+    f"--cage-up  axis that points up in cage files (default: {default})\n--cage-object"
+    for default in (
+        "y for glTF, z for other formats; Blender exports OBJ with y up unless its export settings say z",
+        "guessed from the object; if unsure, y for glTF, z for others",
+    )
+)
 
 #: What commands that read a field end with.
 SCALE_AND_DEVICE = """
@@ -282,6 +264,9 @@ FRAME_HELP = """a
 FRAME = f"--frame FILE  {FRAME_HELP}"
 FRAME_VALUE = {"dest": "frame_file"}
 
+#: Degrees of the horizontal field of view where --fov is not given.
+FOV = 40.0
+
 #: The camera of a picture.
 VIEW = f"""
 view (default: from above and to one side, with the whole object in the picture):
@@ -295,7 +280,7 @@ view (default: from above and to one side, with the whole object in the picture)
 --eye X Y Z  position of the camera, world units
 --target X Y Z  point that it looks at, world units
 --up X Y Z  direction that points up in the picture (default: up in the training pictures of the field)
---fov DEGREES  horizontal field of view (default: %(default)s)
+--fov DEGREES  horizontal field of view (default: {FOV})
 --size PIXELS...  width, width and height, or aspect ratio: 800, 1920x1080, 16:9 or 1080 9:16. A width alone makes a
     square, or keeps the aspect ratio of --camera's picture. Another aspect ratio crops that picture; add the word widen
     to see more at its sides instead (default: 400, or the size of --camera's picture)
@@ -373,14 +358,16 @@ def add_rows(parser: argparse.ArgumentParser, *texts: str, **values: Any) -> Non
                 group = parser if title == "options" else parser.add_argument_group(title)
             continue
         key, _, default_help = row.partition(" ")
-        spec = SPEC_FLAGS.get(key) if "  " not in row and key not in _SHARED_ROWS else None
-        row = spec.row(default_help.strip()) if spec is not None else row if "  " in row else _SHARED_ROWS[row]
+        usual = None
+        if "  " not in row:
+            known = None if key in _SHARED_ROWS else SPEC_FLAGS.get(key)
+            row, usual = (_SHARED_ROWS[row], None) if known is None else _spec_row(*known, default_help.strip())
         flag, help = row.split("  ", 1)
         help = argparse.SUPPRESS if help == argparse.SUPPRESS else help  # which argparse knows by its identity
         name, *metavars = flag.split()
         key = "output" if name == "-o" else name.lstrip("-").replace("-", "_")
         names = ("-o", "--output") if name == "-o" else (name,)
-        usual = SHARED_VALUES.get(key, {}) if spec is None else spec.settings
+        usual = SHARED_VALUES.get(key, {}) if usual is None else usual
         group.add_argument(*names, help=help, **_settings(left.pop(key, usual), metavars, name))
     if left:
         raise StateError(f"no row has {', '.join(left)}")

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
-from typing import Any
-
 from ....core.names import MOVE_HELP
-from ....core.spec import defaults_of
 from ...spec.film import TIME, FilmSpec
 from .options import FOLLOWING, PICTURES, SCALE_AND_DEVICE, VIEW, command, deformation, flags_of, objects
 
@@ -52,31 +48,6 @@ options:
     SCALE_AND_DEVICE,
     cameras=("interpolate", "given"),
 )
-
-#: What a session decides by itself, of the options that have a default.
-OF_SESSIONS = (
-    "fov",
-    *(
-        name
-        for name, default in defaults_of(FilmSpec).items()
-        if default not in (None, False) and name != "scene_scale"
-    ),
-)
-
-
-class Default:
-    """Marks an option that was not given, which a session then decides; value: its default without a session."""
-
-    def __init__(self, value: Any):
-        self.value = value
-
-    def __str__(self) -> str:
-        return str(self.value)
-
-
-def _leave_to_sessions(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(**{name: Default(parser.get_default(name)) for name in OF_SESSIONS})
-
 
 command(
     "animate",
@@ -139,7 +110,6 @@ options:
     VIEW,
     SCALE_AND_DEVICE,
     "--quiet",
-    more=_leave_to_sessions,
     output={},
     full_turn={"dest": "turn", "action": "store_const", "const": 360.0},
 )

@@ -5,12 +5,12 @@ from __future__ import annotations
 from ....core.names import COORDINATES, FIELD_COORDINATES, TRANSPARENT
 from ...spec.film import FilmSpec
 from ...spec.shot import COLORS, DEFORMATION, PICTURE
-from .options import CAGE_UP_FOUND, CAGES, SCALE_AND_DEVICE, command, flags_of, positive_float, whole_number
+from .options import CAGE_UP_FOUND, CAGES, FOV, SCALE_AND_DEVICE, command, flags_of, positive_float, whole_number
 
 #: What stands behind pictures where --background is not given: of PNG files, and of JPEG files, which have no opacity.
 DEFAULT_BACKGROUNDS = {"png": TRANSPARENT, "jpg": "white"}
 
-#: The word of --background for that of the field.
+#: The value of --background for that of the field.
 OWN = "own"
 
 #: Modes of random poses, as `cage.pose_modes` has them, which needs NumPy.
@@ -49,7 +49,7 @@ cameras:
 --cameras CAMERAS  orbit:N[:ELEVATION]: a circle around all poses; random:N: N random positions above the horizon, new
     ones for each pose; a camera file (.json, .glb); a transforms.json; or a scene, SCENE[:SPLIT] (default: orbit:8)
 --views N  render each pose from N of the cameras, chosen at random (default: from all)
---fov DEGREES  horizontal field of view of orbit and random (default: %(default)s)
+--fov DEGREES  horizontal field of view of orbit and random (default: {FOV})
 --size PIXELS...  width, width and height, or aspect ratio such as 16:9, as for render (default: 400, or the size of the
     cameras' pictures)
 pictures:
