@@ -1,22 +1,24 @@
-"""Writes docs/cli.md and docs/job_keys.md of commands and specs: `python docs/site/commands.py`."""
+"""Writes docs/cli.md, docs/job_keys.md and a table of docs/python.md: `python docs/site/commands.py`."""
 
 from __future__ import annotations
 
 import json
 import pathlib
+import re
 from dataclasses import MISSING
 from typing import Any
 
 from warpcage.core.checks import format_lines
 from warpcage.core.spec import defaults_of, options_of, plain
 from warpcage.edits.spec import EditSpec
+from warpcage.field.render import RenderOptions
 from warpcage.mesh.io.formats import FORMATS
 from warpcage.splats.io.formats import BUILT_IN
 from warpcage.studio.cli.program import COMMANDS, ORDER
 from warpcage.studio.jobs.items import EvaluateItem, FitItem, FrameItem, Item
 
 DOCS = pathlib.Path(__file__).resolve().parents[1]
-PAGE, KEYS_PAGE = DOCS / "cli.md", DOCS / "job_keys.md"
+PAGE, KEYS_PAGE, PYTHON_PAGE = DOCS / "cli.md", DOCS / "job_keys.md", DOCS / "python.md"
 
 HEAD = """# Commands
 
@@ -60,7 +62,8 @@ def _formats() -> str:
 KEYS_HEAD = """# Keys of job files
 
 All keys of the lines of [job files](batch.md), and of "defaults" in their headers. The flags of `warpcage render` and
-`animate` of the same names mean the same. Lengths are world units.
+`animate` of the same names mean the same; `--cage-up` is `up` here, `--cage-object` is `object`. Lengths are world
+units.
 """
 
 
@@ -72,12 +75,18 @@ def keys_page() -> str:
 
 def _keys(spec: type) -> str:
     """The table of a spec's keys."""
-    names = [name for name in spec.known() if name in options_of(spec)] if issubclass(spec, Item) else options_of(spec)
-    rows = []
+    rows, names = [], list(options_of(spec))
+    if isinstance(spec, type) and issubclass(spec, Item):
+        rows = [f"| `kind` | `{spec.kind}` | {'`frame`' if spec is FrameItem else 'needed'} |\n"]
+        names = [name for name in spec.known() if name in options_of(spec)]
+        if spec is FrameItem:
+            short = ", ".join(f"`{name}`" for name in spec.short)
+            rows.append(f"| {short} | one edit, its keys beside those of the frame, in place of `edits` | |\n")
     for name in names:
         option, default = options_of(spec)[name], defaults_of(spec)[name]
         choices = [choice for choice in option.values.choices if choice not in option.help]
         help = option.help + (": " + ", ".join(f"`{choice}`" for choice in choices) if choices else "")
+        help = help.replace("0.2,0.3,0.4", "[0.2, 0.3, 0.4]")  # as a flag has it
         help += f" (version {option.since})" if option.since > 1 else ""
         rows.append(f"| `{name}` | {help} | {option.default_help or _default(default)} |\n")
     return "| key | meaning | if it is left out |\n| --- | --- | --- |\n" + "".join(rows)
@@ -88,6 +97,18 @@ def _default(default: Any) -> str:
     return "needed" if default is MISSING else "" if default in (None, {}) else f"`{json.dumps(plain(default))}`"
 
 
+def options_table() -> str:
+    """The table of what `render` takes."""
+    rows = (f"| `{name}` | {each.help} |\n" for name, each in options_of(RenderOptions).items() if name != "fill")
+    return "| option | what it does |\n| --- | --- |\n" + "".join(rows)
+
+
+def with_options(text: str) -> str:
+    """docs/python.md with that table in the place of the one that it has."""
+    return re.sub(r"\| option \| what it does \|\n(\|.*\n)+", lambda _: options_table(), text)
+
+
 if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
+    PYTHON_PAGE.write_text(with_options(PYTHON_PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     KEYS_PAGE.write_text(keys_page(), encoding="utf-8")

@@ -28,8 +28,15 @@ class Values(NamedTuple):
 
     def parse(self, text: str) -> Any:
         """The value that the text of a flag stands for. Raises ValueError for others."""
-        with contextlib.suppress(ValueError, OverflowError):
-            return self.check(self.convert(text), "")
+        value: Any = text
+        try:
+            value = self.convert(text)
+        except InputError:
+            raise  # it says what would be right
+        except (ValueError, OverflowError):
+            pass
+        with contextlib.suppress(ValueError):
+            return self.check(value, "")
         return self.check(text, "")  # which says what would be right
 
     @property
@@ -166,12 +173,12 @@ def number(minimum: float | None = None, maximum: float | None = None) -> Values
 
 
 def positive() -> Values:
-    """Finite numbers above 0; of flags also ratios such as 2/3."""
+    """Finite numbers above 0."""
 
     def check(value: Any, name: str) -> float:
         return _number_check("checked_positive")(value, name)
 
-    return Values(check, {"type": "number", "exclusiveMinimum": 0}, lambda text: float(_exact(text, "")))
+    return Values(check, {"type": "number", "exclusiveMinimum": 0}, float)
 
 
 def _exact(value: Any, name: str) -> Fraction:
@@ -221,7 +228,8 @@ def _color(value: Any, name: str, known: tuple[str, ...]) -> Any:
         if min(color) >= 0.0 and max(color) <= 1.0:
             return color
     if value == TRANSPARENT:
-        raise InputError(f"{name} must be a colour, got {value!r}")
+        what = f"one of {', '.join(known)}, or three numbers in [0, 1]"
+        raise InputError(f"{name} must be a colour, {what}, got {value!r}")
     raise InputError(f"{name} must be one of {', '.join(known)}, or three numbers in [0, 1], got {shown(value)}")
 
 

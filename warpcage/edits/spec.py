@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -64,7 +63,14 @@ def split_reference(reference: str) -> tuple[str, str]:
 
 def canonical(value: Any) -> str:
     """The canonical text of a JSON value: sorted keys and no spaces."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return _encoder().encode(value)
+
+
+@functools.cache
+def _encoder() -> Any:
+    import json  # which help does without
+
+    return json.JSONEncoder(sort_keys=True, separators=(",", ":"))
 
 
 #: The key of a pose that is drawn at random.
@@ -184,7 +190,7 @@ class EditSpec:
         flag="--fragments SIZE",
         default_help="they stay",
     )
-    up: str | None = option(None, one_of("y", "z"), "axis that points up in its cage files; left out, it is found")
+    up: str | None = option(None, one_of("y", "z"), "axis that points up in its cage files", default_help="it is found")
     object: str | None = option(None, text(), "the object that is the cage in a file of several")
 
     def __post_init__(self) -> None:

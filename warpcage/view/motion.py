@@ -152,7 +152,10 @@ def frame_rate(fps: float | Fraction) -> Fraction:
     exact = fps if isinstance(fps, Fraction) else Fraction(repr(float(fps)))
     television = [Fraction(1000 * whole, MAX_DENOMINATOR) for whole in TELEVISION]
     meant = [rate for rate in television if abs(exact - rate) < ROUNDED]
-    return meant[0] if meant else exact.limit_denominator(MAX_DENOMINATOR)
+    rate = meant[0] if meant else exact.limit_denominator(MAX_DENOMINATOR)
+    if rate <= 0:
+        raise InputError(f"fps must be at least 1/{MAX_DENOMINATOR}, got {float(fps):g}")
+    return rate
 
 
 def whole_frames(length: float, rate: Fraction) -> Fraction:

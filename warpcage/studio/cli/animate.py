@@ -58,8 +58,8 @@ WITH_SESSION = (
 
 #: Options that a folder of frames names at their defaults too.
 NAMED = (
-    "frames motion interpolation turn show overlay coordinates resolution density map antialias fill scene_scale "
-    "background format loop fps"
+    "frames motion interpolation turn show overlay coordinates resolution density map antialias fill cage_up "
+    "scene_scale background format loop fps"
 ).split()
 
 
@@ -243,9 +243,9 @@ def _run_session(args: argparse.Namespace) -> None:
 def _settings(args: argparse.Namespace, spec: FilmSpec, cameras: list[Camera], deformation: Deformation | None) -> dict:
     """All that decides how frames look, so that a folder never mixes two films."""
     defaults = defaults_of(FilmSpec)
-    values = {name: getattr(spec, name) for name in options_of(FilmSpec) if name != "overwrite"}
-    settings = {name: plain(value) for name, value in values.items() if name in NAMED or value != defaults[name]}
-    settings |= {"cage_up": args.cage_up, "format": spec.format or "png"}
+    values = {name: plain(getattr(spec, name)) for name in options_of(FilmSpec) if name != "overwrite"}
+    changed = {name: value for name, value in values.items() if value != plain(defaults[name])}
+    settings = {name: values.get(name, args.cage_up) for name in NAMED} | changed | {"format": spec.format or "png"}
     settings |= {"resolution": spec.deformer_options(MAX_CELLS)["resolution"], "fill": spec.fill or None}
     settings |= {"fps": None if spec.loop is None else str(spec.fps)}
     settings["size"] = [cameras[0].width, cameras[0].height]

@@ -19,7 +19,7 @@ from ...core.modules import start_warp
 from ...core.names import counted
 from ...core.threads import cpu_threads
 from ...edits.place import PLACE_KEYS, PlaceFile
-from ...edits.stage_file import read_stage_file
+from ...edits.stage_file import read_deformation, read_stage_file
 from ...errors import InputError, MissingFileError
 from ...field.surroundings import LayeredBackground, OuterField
 from ...fitting.silhouettes import Silhouettes
@@ -353,7 +353,7 @@ def _stage(path: pathlib.Path) -> Rows:
     objects = read_stage_file(path)
     rows: Rows = [("kind", "scene file"), ("objects", len(objects))]
     for each in objects:
-        edits = counted(len(each["deformation"]["edits"]), "edit") if "deformation" in each else "no edits"
+        edits = counted(len(read_deformation(each["deformation"])[1]), "edit") if "deformation" in each else "no edits"
         hidden = ", hidden" if each.get("hidden") else ""
         rows.append((f"object {each['name']!r}", f"{each['field']}, {edits}, {_placed(each['place'])}{hidden}"))
     return [*rows, ("file", _file_size(path))]

@@ -39,6 +39,7 @@ from ...view.exr import require_openexr
 from ...view.frame import Frame
 from ...view.motion import frame_rate, frame_times
 from ...view.pictures import picture_cuts
+from ..spec.film import MAX_FRAMES
 from .folder import checked_film_path, frame_path, make_folder
 from .motion import path_cameras
 from .moves import CameraMove, MovingCamera, camera_moves
@@ -340,7 +341,7 @@ class _Request:
         """Seconds of each frame."""
         counts = {"poses": self._rows, "cameras": self._each}
         known = {name: len(each) for name, each in counts.items() if each is not None}
-        known |= {} if frames is None else {"frames": checked_whole(frames, "frames", 1)}
+        known |= {} if frames is None else {"frames": checked_whole(frames, "frames", 1, MAX_FRAMES)}
         if len(set(known.values())) > 1:
             numbers = ", ".join(f"{count} {name}" for name, count in known.items())
             raise InputError(f"poses and cameras come one a frame, got {numbers}")

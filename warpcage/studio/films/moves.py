@@ -39,6 +39,8 @@ SWAYS = (0.5, 0.4, 0.3, 0.006, 0.006)
 
 def camera_moves(text: str) -> list[CameraMove] | None:
     """The moves of a spec, joined by "+"; None for other texts, such as names of files."""
+    if not isinstance(text, str):
+        return None
     specs = [spec.partition(":") for spec in text.split("+")]
     if specs[0][0] not in MOVES or pathlib.Path(text).exists():
         return None

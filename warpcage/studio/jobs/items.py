@@ -296,8 +296,8 @@ class FrameItem(Item, ShotSpec):
     moments: tuple[dict[str, Any], ...] = option(
         (),
         Values(_moments),
-        "a list of moments of a shutter, with a `camera`, and as `posed` a list of a pose for each edit, `null` where "
-        "it removes; the picture is the mean of theirs in linear light",
+        "a list of moments of a shutter. Each may have a `camera`, and a `posed` that lists a pose for each edit, "
+        "`null` where it removes; what it leaves out is the item's. The picture is the mean of theirs in linear light",
         default_help="one moment, the item",
         since=3,
     )

@@ -218,12 +218,16 @@ class JobFile:
             raise InputError(f"{where}: {wrong}{begins}")
         try:
             require_version(header.get("version"), VERSION)
+            if unknown := [key for key in header if key not in HEADER_KEYS]:
+                raise InputError(f"a header has no {shown(unknown[0])}, only {', '.join(HEADER_KEYS)}")
             _check_defaults(header.get("defaults") or {})
             check_records(header.get("records") or {}, header.get("defaults") or {})
         except ValueError as error:
             raise InputError(f"{where}: {error}") from None
         return header
 
+
+HEADER_KEYS = ("format", "version", "defaults", "records", "extra")
 
 _HEADER_SHAPE = f'{{"format": "{FORMAT}", "version": 1}}'
 

@@ -18,6 +18,9 @@ TIME, CAMERA = "time", "camera path"
 #: What a film may show of its frames.
 SHOWN = ("rgb", "alpha", "depth", "disparity", "masks")
 
+#: Most frames of a film: more than 11 hours at 24 a second.
+MAX_FRAMES = 1_000_000
+
 #: Moments that motion blur is the mean of, where their number is not given, and most of them.
 SUBFRAMES, MAX_SUBFRAMES = 8, 256
 
@@ -43,7 +46,7 @@ def _shutter(value: Any, name: str) -> tuple[float, int]:
 class FilmSpec(ShotSpec):
     """How a film is made: all of its shots alike, and where they are in time."""
 
-    frames: int = option(48, whole(1), "number of frames", flag="--frames N", group=TIME)
+    frames: int = option(48, whole(1, MAX_FRAMES), "number of frames", flag="--frames N", group=TIME)
     fps: Fraction = option(
         Fraction(24),
         fraction(),

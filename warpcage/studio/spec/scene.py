@@ -55,7 +55,13 @@ class SceneSpec:
 class FitSceneSpec(SceneSpec):
     """Which pictures of a scene a field is fitted to, and how they are read."""
 
-    background: Any = changed(SceneSpec, "background", "white")
+    background: Any = changed(
+        SceneSpec,
+        "background",
+        "white",
+        help="colour behind transparent pixels; random, outer, layers, constant and auto are a `background` of "
+        "`options`",
+    )
     straighten: bool = option(
         False,
         flag(),

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ...core.names import listed, shown
+from ...core.names import BACKGROUNDS, listed, shown
 from ...core.spec import Values, changed, color, defaults_of, one_of, option, options_of, whole
 from ...errors import InputError
 from .shot import PICTURE, ShotSpec
@@ -22,12 +23,15 @@ MAX_SAMPLES = 4
 
 
 def _page_color(value: Any, name: str) -> Any:
-    if isinstance(value, str) and len(value) == 7 and value[0] == "#":
-        try:
-            return tuple(part / 255 for part in bytes.fromhex(value[1:]))
-        except ValueError:
-            raise InputError(f"{name} {shown(value)} is no colour: #rrggbb") from None
-    return color().check(value, name)
+    if isinstance(value, str) and re.fullmatch("#[0-9a-fA-F]{6}", value):
+        return tuple(part / 255 for part in bytes.fromhex(value[1:]))
+    try:
+        return color().check(value, name)
+    except ValueError:
+        known = ", ".join(BACKGROUNDS)
+        raise InputError(
+            f"{name} must be one of {known}, #rrggbb, or three numbers in [0, 1], got {shown(value)}"
+        ) from None
 
 
 @dataclasses.dataclass(frozen=True)

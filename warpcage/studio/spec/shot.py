@@ -13,6 +13,7 @@ from ...core.spec import (
     color,
     defaults_of,
     flag,
+    fraction,
     names_of,
     numbers,
     one_of,
@@ -40,7 +41,8 @@ def _cells(value: Any, name: str) -> int | str:
         return value
     if type(value) is not int or value < 1:
         raise InputError(
-            f'{name} must be a whole number of lattice cells, or "{PRECISE}" ({PRECISE_KINDS} only), got {shown(value)}'
+            f'{name} must be a whole number of lattice cells, at least 1, or "{PRECISE}" ({PRECISE_KINDS} only), got '
+            f"{shown(value)}"
         )
     return value
 
@@ -69,7 +71,7 @@ class ShotSpec:
     supersampling: int | None = option(
         None,
         whole(1, 8),
-        "rays along each side of a pixel: more are smoother and slower",
+        "rays along each side of a pixel, 1 to 8: more are smoother and slower",
         flag="--supersampling N",
         default_help="that of the field",
         group=PICTURE,
@@ -78,18 +80,18 @@ class ShotSpec:
     antialias: bool | None = option(
         None,
         flag(),
-        "splats only: antialiasing of Mip-Splatting, for files trained with it; other files get too thin in the "
-        "distance by it",
+        "splats only: antialiasing of Mip-Splatting, for files trained with it; distant splats of other files become "
+        "too thin",
         flag="--antialias",
         default_help="as the file says",
         group=PICTURE,
     )
     disparity_scale: tuple[float, float] | None = option(
-        None, Values(_range), "low and high disparity of pictures of depth; left out, those of the picture"
+        None, Values(_range), "low and high disparity of pictures of depth", default_help="those of the picture"
     )
     scene_scale: float = option(
         1.0,
-        positive(),
+        positive()._replace(convert=lambda text: float(fraction().parse(text))),
         "undo a scaling: the factor by which the positions of a scene were multiplied before its field was fitted, 2/3 "
         "for Plenoxels checkpoints of NeRF-synthetic scenes",
         flag="--scene-scale FACTOR",
@@ -136,8 +138,8 @@ class ShotSpec:
     fill: bool = option(
         False,
         flag(),
-        "fill background that an edit uncovers and no picture showed with a smooth continuation of its surroundings; "
-        "violet in masks",
+        "continue the surroundings smoothly over background that an edit uncovers and no picture shows; violet in "
+        "masks",
         flag="--fill",
         default_help="leave it as fitted",
         group=PICTURE,

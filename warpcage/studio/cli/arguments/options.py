@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ....core.names import TRANSPARENT
+from ....core.names import TRANSPARENT, shown
 from ....core.spec import Values, defaults_of, fraction, names_of, number, options_of, positive, whole
 from ....edits.spec import EditSpec
 from ....errors import InputError, MissingFileError, StateError
@@ -39,6 +39,12 @@ def typed(values: Values) -> Callable[[str], Any]:
 positive_int, whole_number = typed(whole(1)), typed(whole(0))
 positive_float, positive_fraction, finite_float = typed(positive()), typed(fraction()), typed(number())
 length = seconds = typed(number(0.0))
+
+
+def _field_of_view(value: Any, name: str) -> float:
+    if not 0.0 < number().check(value, name) < 180.0:
+        raise InputError(f"{name} must lie between 0 and 180 degrees, got {shown(value)}")
+    return value
 
 
 def color(text: str) -> str | tuple[float, ...]:
@@ -114,7 +120,7 @@ class _PictureSizes(argparse.Action):
 
     def _size(self, values: list[str]) -> PictureSize:
         parts = [part for value in values for part in re.sub(r"^(\d+)[x×](\d+)$", r"\1 \2", value).split()]
-        widen, shape = parts[-1] == "widen", None
+        widen, shape = parts[-1:] == ["widen"], None
         parts = parts[:-1] if widen else parts
         if parts and ":" in parts[-1]:
             try:
@@ -145,7 +151,7 @@ class _FrameWord(argparse.Action):
     """Takes the value of --frame: what a picture is framed by, or the file of the frame that a field is in."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
-        if values.lower().endswith(".json"):
+        if str(values).lower().endswith(".json"):
             namespace.frame_file = values
         elif values in ("rest", "posed"):
             setattr(namespace, self.dest, values)
@@ -223,7 +229,7 @@ SHARED_VALUES: dict[str, Any] = {
     "add": {"action": "append"},
     "edit": {"action": "append"},
     "frame": {"action": _FrameWord},
-    "fov": typed(number(1e-6, 180.0 - 1e-6)),
+    "fov": typed(Values(_field_of_view, convert=float)),
     "no_masks": {"dest": "masks", "action": "store_false", "default": True},
     "output": {"required": True},
     "posed_up": ("y", "z"),
