@@ -55,7 +55,7 @@ class Option(NamedTuple):
     group: str = ""  # of flags, and of the page's panels
     label: str = ""  # on the editor's page; empty: it has no place there
     labels: Mapping[Any, tuple[str, ...]] = {}  # of values there, with their hints
-    since: int = 1  # first version of job files that has it
+    since: int = 1  # first version of files that has it
 
     @property
     def full_help(self) -> str:
@@ -154,31 +154,23 @@ def _number_check(name: str) -> Callable[..., Any]:
     return getattr(importlib.import_module(".checks", __package__), name)
 
 
+def _check(check: str, *limits: float | None) -> Checker:
+    return lambda value, name: _number_check(check)(value, name, *limits)
+
+
 def whole(minimum: int, maximum: int | None = None) -> Values:
     """Whole numbers in a range, None: no limit."""
-
-    def check(value: Any, name: str) -> int:
-        return _number_check("checked_whole")(value, name, minimum, maximum)
-
-    return Values(check, {"type": "integer"} | _limits(minimum, maximum), int)
+    return Values(_check("checked_whole", minimum, maximum), {"type": "integer"} | _limits(minimum, maximum), int)
 
 
 def number(minimum: float | None = None, maximum: float | None = None) -> Values:
     """Finite numbers in a range, None: no limit."""
-
-    def check(value: Any, name: str) -> float:
-        return _number_check("checked_number")(value, name, minimum, maximum)
-
-    return Values(check, {"type": "number"} | _limits(minimum, maximum), float)
+    return Values(_check("checked_number", minimum, maximum), {"type": "number"} | _limits(minimum, maximum), float)
 
 
 def positive() -> Values:
     """Finite numbers above 0."""
-
-    def check(value: Any, name: str) -> float:
-        return _number_check("checked_positive")(value, name)
-
-    return Values(check, {"type": "number", "exclusiveMinimum": 0}, float)
+    return Values(_check("checked_positive"), {"type": "number", "exclusiveMinimum": 0}, float)
 
 
 def _exact(value: Any, name: str) -> Fraction:
@@ -205,7 +197,7 @@ def _limits(minimum: float | None, maximum: float | None) -> dict[str, float]:
 
 def flag() -> Values:
     """True or false."""
-    return Values(lambda value, name: _number_check("checked_flag")(value, name), {"type": "boolean"})
+    return Values(_check("checked_flag"), {"type": "boolean"})
 
 
 def one_of(*names: str) -> Values:

@@ -12,15 +12,14 @@ import numpy as np
 from ...cage import poses
 from ...cage.cage import Cage
 from ...coordinates.coordinates import deform_points
-from ...core.checks import AXES, checked_easing, checked_flag, checked_number, checked_whole
-from ...core.names import LOOPS, checked_choice
+from ...core.checks import AXES, checked_flag, checked_number, checked_whole
+from ...core.names import checked_choice
 from ...edits.edits import MAX_EDITS
 from ...errors import InputError
 from ..films.checks import (
     MAX_KEYS,
     MAX_NAME,
     MAX_PLACE,
-    MAX_RATE,
     MAX_SECONDS,
     MAX_VERTICES,
     changed_names,
@@ -39,9 +38,9 @@ from ..films.document import (
     Selection,
     Sliders,
     Step,
-    checked_selection,
+    Timeline,
+    checked_fields,
     checked_settings,
-    checked_walls,
     new_edit,
 )
 from . import objects
@@ -56,8 +55,7 @@ PRESETS = {"bend": 0.0, "twist": 0.0, "taper": 1.0, "stretch": 1.0}
 
 def select(document: Document, message: Message) -> Step:
     """Select vertices of an edit, which becomes the active one, as does its object; or an object alone."""
-    selection = checked_selection(message, document.edits, document.objects, document.selection.object_id)
-    return "select", dataclasses.replace(document, selection=selection)
+    return "select", dataclasses.replace(document, selection=document.checked_selection(message))
 
 
 def change_settings(document: Document, message: Message) -> Step:
@@ -230,13 +228,8 @@ def delete_edit(document: Document, message: Message) -> Step:
 
 def change_edit(document: Document, message: Message) -> Step:
     """Rename an edit, show or hide it, make it another kind, or say what becomes of its walls and fragments."""
-    edit, changes = document.edit(message["id"]), checked_walls(message)
-    if "name" in message:
-        changes["name"] = checked_name(message["name"])
-    if "kind" in message:
-        changes["kind"] = checked_choice(message["kind"], "kind", KINDS)
-    if "visible" in message:
-        changes["visible"] = checked_flag(message["visible"], "visible")
+    edit = document.edit(message["id"])
+    changes = checked_fields(Edit, message, ("falloff", "fragments", "held", "name", "kind", "visible"))
     if not changes:
         raise InputError("nothing to change: give a name, a kind, visible, falloff, held or fragments")
     label = f"{changed_names(changes)} of {edit.name}"
@@ -332,13 +325,7 @@ def add_key(document: Document, message: Message) -> Step:
 
 def change_key(document: Document, message: Message) -> Step:
     """Move a key in time, rename it, ease it otherwise, or take the present pose or camera for it."""
-    key, changes = document.key(message["id"]), {}
-    if "time" in message:
-        changes["time"] = checked_number(message["time"], "time", 0.0, MAX_SECONDS)
-    if "easing" in message:
-        changes["easing"] = checked_easing(message["easing"], "easing")
-    if "name" in message:
-        changes["name"] = checked_name(message["name"])
+    key, changes = document.key(message["id"]), checked_fields(Key, message, ("time", "easing", "name"))
     key = _filled(document, dataclasses.replace(key, **changes) if changes else key, message)
     if key is document.key(message["id"]):
         raise InputError("nothing to change: give time, easing, name, pose or camera")
@@ -359,10 +346,7 @@ def change_timeline(document: Document, message: Message) -> Step:
     if "length" in message:
         last = max((key.time for key in document.timeline.keys), default=0.0)
         changes["length"] = checked_number(message["length"], "length (not before the last key)", last, MAX_SECONDS)
-    if "fps" in message:
-        changes["fps"] = checked_number(message["fps"], "fps", 0.01, MAX_RATE)
-    if "loop" in message:
-        changes["loop"] = checked_choice(message["loop"], "loop", LOOPS)
+    changes |= checked_fields(Timeline, message, ("fps", "loop"))
     if not changes:
         raise InputError("nothing to change: give length, fps or loop")
     follows = document.timeline.follows_keys and "length" not in changes

@@ -32,9 +32,8 @@ from ..films.document import (
     Sliders,
     Timeline,
     View,
-    edit_json,
     new_edit,
-    selection_json,
+    part_json,
 )
 from ..films.session import timeline
 from ..films.session.scene import Fields
@@ -304,7 +303,7 @@ class Session:
         document = self.document
         if name == "edits":
             edits = document.edits_of(document.selection.object_id)
-            return [edit_json(edit) | {"sliders": _sliders_json(edit.sliders)} for edit in edits]
+            return [part_json(edit) | {"sliders": _sliders_json(edit.sliders)} for edit in edits]
         if name == "objects":
             return [self._object_section(one) for one in document.objects]
         if name == "timeline":
@@ -319,10 +318,7 @@ class Session:
             return {"keys": keys, "frames": frame_count(**kept), "follows_keys": film.follows_keys, **kept}
         if name == "history":
             return self.history.summary()
-        if name == "selection":
-            return selection_json(document.selection)
-        part = getattr(document, name)
-        return part.to_json() if isinstance(part, Settings) else dataclasses.asdict(part)
+        return part_json(getattr(document, name))
 
     def _object_section(self, scene_object: SceneObject) -> dict[str, Any]:
         """An object as pages show it, with the box and the kind of its field."""

@@ -106,7 +106,7 @@ def checked_triple(values: Any, what: str) -> tuple[float, float, float]:
 
 def checked_items(values: Any, most: int, what: str) -> list[Any]:
     """A list of at most so many items. Raises ValueError for anything else."""
-    if not isinstance(values, list | tuple) or len(values) > most:
+    if not isinstance(values, list | tuple | np.ndarray) or len(values) > most:
         raise InputError(f"{what} must be a list of at most {most}")
     return list(values)
 

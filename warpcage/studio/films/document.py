@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING
 from typing import Any
 
 import numpy as np
 
 from ...cage.cage import Cage
-from ...core.checks import checked_easing, checked_flag, checked_number, checked_whole, shown
+from ...core.checks import checked_easing, checked_number, checked_whole, shown
 from ...core.names import LOOPS, Easing, checked_choice, renamed_keys
+from ...core.spec import Values, anything, flag, number, one_of, option, options_of, whole
 from ...edits.edits import HELD, MAX_EDITS, CageEdit
 from ...edits.place import Place
 from ...errors import InputError
@@ -35,29 +37,88 @@ from .checks import (
 OLD_KEYS = {"fragments": "crumbs", "object": "thing", "objects": "things"}
 
 
+#: Keys in JSON of fields that have another name.
+KEYS = {"object_id": "object"}
+
+
+def part_json(part: Any, inner: Callable[[Any], Any] | None = None) -> Any:
+    """A part of a document as JSON takes it; numbers keep all their digits. inner: what becomes of what it holds."""
+    inner = inner or part_json
+    if isinstance(part, np.ndarray):
+        return part.tolist()
+    if isinstance(part, Settings):
+        return part.to_json()
+    if isinstance(part, tuple):
+        return [inner(each) for each in part]
+    if isinstance(part, Mapping):
+        return {str(key): inner(value) for key, value in part.items()}
+    if not dataclasses.is_dataclass(part):
+        return part
+    fields = [field.name for field in dataclasses.fields(part) if field.compare]
+    values = ((KEYS.get(name, name), getattr(part, name)) for name in fields)
+    return {key: inner(value) for key, value in values if (key, value) != ("places", None)}
+
+
+def checked_fields(kind: type, content: Any, only: Sequence[str] = ()) -> dict[str, Any]:
+    """The fields of a part of a document from JSON, checked; those that came with a later version may be missing.
+    only: the fields that a message may have."""
+    content, found, fields = renamed_keys(content, OLD_KEYS), {}, options_of(kind)
+    for name in only or fields:
+        key = KEYS.get(name, name)
+        if (not only and fields[name].since == 1) or key in content:
+            found[name] = fields[name].values.check(content[key], key)
+    return found
+
+
+def _part(check: Callable[[Any], Any], *, optional: bool = False) -> Values:
+    """Values whose check needs no name; optional: or None."""
+    return Values(lambda value, name: None if optional and value is None else check(value))
+
+
+def _parts(check: Callable[[Any], Any], most: int) -> Values:
+    """Lists of at most so many parts, from JSON or as a `History` has made them."""
+
+    def made(content: Any) -> Any:
+        return content if dataclasses.is_dataclass(content) else check(content)
+
+    return Values(lambda value, name: tuple(map(made, checked_items(value, most, name))))
+
+
+def _numbered(parts: Iterable[Any], number: Any, what: str = "an edit", verb: str = "deleted") -> Any:
+    """The part of a number. Raises ValueError where there is none."""
+    checked_whole(number, f"the number of {what}", MAIN if what == "an object" else 1, MAX_ID)
+    found = next((part for part in parts if part.id == number), None)
+    if found is None:
+        raise InputError(f"there is no {what.split()[1]} {number!r}: it may have been {verb}")
+    return found
+
+
+_TRIPLE, _ID, _NAME, _ANY = Values(checked_triple), Values(checked_id), _part(checked_name), Values(anything)
+
+
 @dataclasses.dataclass(frozen=True)
 class View:
     """Where the person looks from; (3,) world units."""
 
-    eye: tuple[float, float, float]  # centre of projection
-    target: tuple[float, float, float]  # in the middle of the picture
-    up: tuple[float, float, float]  # unit vector
-    fov: float = 40.0  # vertical, degrees
+    eye: tuple[float, float, float] = option(MISSING, _TRIPLE)  # centre of projection
+    target: tuple[float, float, float] = option(MISSING, _TRIPLE)  # in the middle of the picture
+    up: tuple[float, float, float] = option(MISSING, _TRIPLE)  # unit vector
+    fov: float = option(40.0, number(1.0, 150.0))  # vertical, degrees
 
 
 def checked_view(content: Any) -> View:
     """A view from eye, target, up and fov of a dictionary, others ignored; its `up` gets the length 1."""
-    eye, target, up = (checked_triple(content[name], name) for name in ("eye", "target", "up"))
-    length = float(np.linalg.norm(up))
+    view = View(**checked_fields(View, content))
+    length = float(np.linalg.norm(view.up))
     if not 1e-12 < length < 1e12:
         raise InputError("a view needs a direction `up` that is not zero")
-    if not 1e-12 < np.linalg.norm(np.subtract(eye, target)) < 1e12:
+    if not 1e-12 < np.linalg.norm(np.subtract(view.eye, view.target)) < 1e12:
         raise InputError("a view needs an eye some way from its target")
-    forward = np.subtract(target, eye)
-    if np.linalg.norm(np.cross(forward, up)) < 1e-6 * np.linalg.norm(forward) * length:
+    forward = np.subtract(view.target, view.eye)
+    if np.linalg.norm(np.cross(forward, view.up)) < 1e-6 * np.linalg.norm(forward) * length:
         raise InputError("a view cannot look along its own `up`")
-    x, y, z = (float(value / length) for value in up)
-    return View(eye, target, (x, y, z), checked_number(content["fov"], "fov", 1.0, 150.0))
+    x, y, z = (float(value / length) for value in view.up)
+    return dataclasses.replace(view, up=(x, y, z))
 
 
 KINDS = ("move", "copy", "remove")
@@ -86,33 +147,50 @@ class Sliders:
 MAIN = 0
 
 
+def checked_place(content: Any) -> Place:
+    """A place from what JSON has of its position, turn and scale."""
+    if not isinstance(content, Mapping):
+        raise InputError(f"a place must be an object with a position, a turn or a scale, got {shown(content)}")
+    triples = {name: checked_triple(content[name], name) for name in ("position", "turn") if name in content}
+    return Place(**triples, scale=checked_number(content.get("scale", 1.0), "scale", *SCALES))
+
+
 @dataclasses.dataclass(frozen=True)
 class SceneObject:
     """One field of the scene, in a place of its own; its edits are in its own coordinates."""
 
-    id: int  # that no other object, edit or key of the session has had; MAIN for the session's own field
-    name: str
-    file: str | None = None  # of its field, seen from the session's folder; None is the session's own field
-    place: Place = dataclasses.field(default_factory=Place)
-    visible: bool = True
-    locked: bool = False  # whether its place may not be changed
+    id: int = option(MISSING, whole(MAIN, MAX_ID))  # that no other object, edit or key of the session has had
+    name: str = option(MISSING, _NAME)
+    file: str | None = option(None, _ANY, since=2)  # of its field, seen from the session's folder
+    place: Place = option(Place(), _part(checked_place), since=2)
+    visible: bool = option(True, flag(), since=2)
+    locked: bool = option(False, flag(), since=2)  # whether its place may not be changed
+
+
+def _object(content: Any) -> SceneObject:
+    found = SceneObject(**checked_fields(SceneObject, content))
+    if not isinstance(found.file, str | None) or (found.id == MAIN and found.file is not None):
+        raise InputError(f"the file of object {found.id} of the session must be a name; the first one has none")
+    return found
 
 
 @dataclasses.dataclass(frozen=True)
 class Edit:
     """One cage and what becomes of its content."""
 
-    id: int  # that no other edit of the session has had
-    name: str
-    kind: str  # one of KINDS; a copy is a duplicate: the source stays
-    visible: bool  # whether it acts on the picture
-    faces: np.ndarray  # (f, 3) int32
-    rest: np.ndarray  # (v, 3) float64, the cage around the captured object, world units; so is `posed`
-    posed: np.ndarray
-    falloff: float = 0.0  # width of the band at held walls in which the edit fades to rest, world units; see `CageEdit`
-    held: str = "cut"  # the walls that are held: "cut" or "still"
-    fragments: float = 0.0  # size of the fragments that go with the part, world units
-    object_id: int = MAIN  # the number of the object that it deforms, in whose coordinates it is
+    id: int = option(MISSING, _ID)  # that no other edit of the session has had
+    name: str = option(MISSING, _NAME)
+    kind: str = option(MISSING, one_of(*KINDS))  # a copy is a duplicate: the source stays
+    visible: bool = option(MISSING, flag())  # whether it acts on the picture
+    faces: np.ndarray = option(MISSING, _ANY)  # (f, 3) int32
+    rest: np.ndarray = option(MISSING, _ANY)  # (v, 3) float64, the cage around the captured object, world units
+    posed: np.ndarray = option(MISSING, _ANY)  # (v, 3) float64
+    falloff: float = option(0.0, number(0.0, LARGEST_LENGTH), since=2)  # see `EditSpec`, as for those below
+    held: str = option("cut", one_of(*HELD), since=2)
+    fragments: float = option(0.0, number(0.0, LARGEST_LENGTH), since=2)
+    object_id: int = option(  # the number of the object that it deforms, in whose coordinates it is
+        MAIN, _part(lambda value: checked_whole(value, "the number of an object", MAIN, MAX_ID)), since=2
+    )
     moved_sliders: Sliders | None = dataclasses.field(default=None, compare=False)  # the last ones; not in files
 
     @property
@@ -158,17 +236,21 @@ class Selection:
     object_id: int = MAIN  # the active object, of which the edit is one
 
 
+def _by_number(check: Callable[[Any], Any]) -> Values:
+    return _part(lambda held: {int(number): check(value) for number, value in held.items()}, optional=True)
+
+
 @dataclasses.dataclass(frozen=True)
 class Key:
     """A moment of the film; None as poses, view or places: it is no key of those."""
 
-    id: int  # that no other key of the session has had
-    time: float  # seconds from the film's start
-    name: str
-    easing: Easing = "smooth"  # how the way from here to the next key goes
-    poses: Mapping[int, np.ndarray] | None = None  # posed vertices (v, 3) by the number of the edit
-    view: View | None = None
-    places: Mapping[int, Place] | None = None  # by the number of the object
+    id: int = option(MISSING, _ID)  # that no other key of the session has had
+    time: float = option(MISSING, number(0.0, MAX_SECONDS))  # seconds from the film's start
+    name: str = option(MISSING, _NAME)
+    easing: Easing = option("smooth", Values(checked_easing))  # how the way from here to the next key goes
+    poses: Mapping[int, np.ndarray] | None = option(None, _by_number(frozen_vertices))  # (v, 3), by that of the edit
+    view: View | None = option(None, _part(checked_view, optional=True))
+    places: Mapping[int, Place] | None = option(None, _by_number(checked_place), since=2)  # by that of the object
 
     @property
     def is_empty(self) -> bool:
@@ -181,166 +263,28 @@ class Key:
         return self.places if self.places is not None else {} if self.poses is None else {MAIN: Place()}
 
 
+def checked_key(content: Any) -> Key:
+    """A key from JSON."""
+    return Key(**checked_fields(Key, content))
+
+
+def by_time(keys: Iterable[Key]) -> tuple[Key, ...]:
+    """Keys in their order."""
+    return tuple(sorted(keys, key=lambda one: (one.time, one.id)))
+
+
+_KEYS = _parts(checked_key, MAX_KEYS)
+
+
 @dataclasses.dataclass(frozen=True)
 class Timeline:
     """The film; its length is in seconds."""
 
-    keys: tuple[Key, ...] = ()  # by time
-    length: float = 4.0
-    fps: float = 24.0
-    loop: str = "once"  # one of LOOPS
-    follows_keys: bool = False  # whether the length is the last key's time, until another is set
-
-
-@dataclasses.dataclass(frozen=True)
-class Document:
-    """All that a session edits."""
-
-    edits: tuple[Edit, ...]  # of all objects; those of each in the order in which they act
-    selection: Selection
-    settings: Settings
-    view: View
-    timeline: Timeline
-    time: float = 0.0  # where the timeline stands, seconds
-    next_id: int = 1  # of the next object, edit or key
-    objects: tuple[SceneObject, ...] = (SceneObject(MAIN, "scene"),)  # the session's own field first
-
-    def edit(self, number: int) -> Edit:
-        """An edit by its number. Raises ValueError where there is none."""
-        if number is None:  # what is selected where there is none
-            raise InputError("no edit is selected: add or select one first")
-        checked_id(number, "the number of an edit")
-        for edit in self.edits:
-            if edit.id == number:
-                return edit
-        raise InputError(f"there is no edit {number!r}: it may have been deleted")
-
-    def scene_object(self, number: int) -> SceneObject:
-        """An object by its number. Raises ValueError where there is none."""
-        checked_whole(number, "the number of an object", MAIN, MAX_ID)
-        for scene_object in self.objects:
-            if scene_object.id == number:
-                return scene_object
-        raise InputError(f"there is no object {number!r}: it may have been removed")
-
-    def edits_of(self, number: int) -> tuple[Edit, ...]:
-        """The edits of an object, in the order in which they act."""
-        return tuple(edit for edit in self.edits if edit.object_id == number)
-
-    @property
-    def is_staged(self) -> bool:
-        """Whether there is more than the session's own field in its own place."""
-        return [one.place for one in self.objects] != [Place()]
-
-    def key(self, number: int) -> Key:
-        """A key by its number. Raises ValueError where there is none."""
-        checked_id(number, "the number of a key")
-        for key in self.timeline.keys:
-            if key.id == number:
-                return key
-        raise InputError(f"there is no key {number!r}: it may have been deleted")
-
-    @property
-    def free_id(self) -> int:
-        """The number of the next object, edit or key. Raises ValueError where a foreign session has used them up."""
-        if self.next_id > MAX_ID // 2:
-            raise InputError("this session has no numbers left for new objects, edits and keys: begin a new session")
-        return self.next_id
-
-    def with_edit(self, edit: Edit) -> Document:
-        """The document with an edit in the place of the one of the same number."""
-        return dataclasses.replace(self, edits=tuple(edit if old.id == edit.id else old for old in self.edits))
-
-    def with_object(self, scene_object: SceneObject) -> Document:
-        """The document with an object in the place of the one of the same number."""
-        return dataclasses.replace(
-            self, objects=tuple(scene_object if old.id == scene_object.id else old for old in self.objects)
-        )
-
-    def with_key(self, key: Key) -> Document:
-        """The document with a key added, or in the place of the one of the same number."""
-        keys = [old for old in self.timeline.keys if old.id != key.id] + [key]
-        return self.with_timeline(keys=tuple(sorted(keys, key=lambda one: (one.time, one.id))))
-
-    def with_timeline(self, **changes: Any) -> Document:
-        """The document with another film; one that is shorter takes the head to its end."""
-        film = dataclasses.replace(self.timeline, **changes)
-        if film.follows_keys:
-            last = max((key.time for key in film.keys), default=0.0)
-            film = dataclasses.replace(film, length=last or Timeline.length)
-        # Beyond the last key nothing moves: only the time changes.
-        time = min(self.time, film.length) if film.length < self.timeline.length else self.time
-        return dataclasses.replace(self, timeline=film, time=time)
-
-    def to_json(self, own: str = "scene") -> dict[str, Any]:
-        """The document as JSON takes it. Numbers keep all their digits.
-        own: what the session's field is called where a file says nothing of objects; such a file is that of before."""
-        content = {
-            "edits": [_without_main(edit_json(edit)) for edit in self.edits],
-            "selection": _without_main(selection_json(self.selection)),
-            "settings": self.settings.to_json(),
-            "view": dataclasses.asdict(self.view),
-            "timeline": {
-                "keys": [key_json(key) for key in self.timeline.keys],
-                "length": self.timeline.length,
-                "fps": self.timeline.fps,
-                "loop": self.timeline.loop,
-                **({"follows_keys": True} if self.timeline.follows_keys else {}),
-            },
-            "time": self.time,
-            "next_id": self.next_id,
-        }
-        if self.objects != (SceneObject(MAIN, own),):
-            content["objects"] = [dataclasses.asdict(one) for one in self.objects]
-        return content
-
-    @classmethod
-    def from_json(
-        cls,
-        content: Any,
-        edit: Callable[[Any], Edit] | None = None,
-        key: Callable[[Any, Mapping[int, int]], Key] | None = None,
-    ) -> Document:
-        """A document from what `to_json`, or another program, made. `edit`, `key`: what reads an edit and a key."""
-        try:
-            return _document(content, edit or checked_edit, key or checked_key)
-        except KeyError as error:
-            raise InputError(f"the session lacks {error.args[0]!r}") from None
-        except (TypeError, AttributeError, OverflowError, IndexError) as error:
-            raise InputError(f"the session is damaged: {error}") from None
-
-
-def _without_main(content: dict[str, Any]) -> dict[str, Any]:
-    """An edit or a selection as a file holds it: without the object where that is the session's own field."""
-    return {name: value for name, value in content.items() if (name, value) != ("object", MAIN)}
-
-
-#: What a page sends, JSON values that were not checked; and a step: its name, and the document on its other side.
-Message = Mapping[str, Any]
-Step = tuple[str, Document]
-
-
-def selection_json(selection: Selection) -> dict[str, Any]:
-    """A selection as JSON takes it."""
-    content = dataclasses.asdict(selection)
-    return content | {"object": content.pop("object_id")}
-
-
-def edit_json(edit: Edit, rows: Callable[[np.ndarray], Any] = np.ndarray.tolist) -> dict[str, Any]:
-    """An edit as JSON takes it. `rows`: what an array of it becomes."""
-    return {
-        "id": edit.id,
-        "name": edit.name,
-        "kind": edit.kind,
-        "visible": edit.visible,
-        "faces": rows(edit.faces),
-        "rest": rows(edit.rest),
-        "posed": rows(edit.posed),
-        "falloff": edit.falloff,
-        "held": edit.held,
-        "fragments": edit.fragments,
-        "object": edit.object_id,
-    }
+    keys: tuple[Key, ...] = option((), _part(lambda value: by_time(_KEYS.check(value, "keys"))))
+    length: float = option(4.0, number(0.0, MAX_SECONDS))
+    fps: float = option(24.0, number(0.01, MAX_RATE))
+    loop: str = option("once", one_of(*LOOPS))
+    follows_keys: bool = option(False, flag(), since=2)  # whether the length is the last key's time, until it is set
 
 
 def new_edit(number: int, cage: ClosedMesh, name: str, kind: str = "move", posed: Any = None) -> Edit:
@@ -356,127 +300,131 @@ def new_edit(number: int, cage: ClosedMesh, name: str, kind: str = "move", posed
     return Edit(number, checked_name(name), checked_choice(kind, "kind", KINDS), True, faces, rest, moved)
 
 
-def checked_walls(content: Mapping[str, Any]) -> dict[str, Any]:
-    """What a message or a session says of falloff, held and fragments of an edit: those of them that it has."""
-    lengths = {
-        name: checked_number(content[name], name, 0.0, LARGEST_LENGTH)
-        for name in ("falloff", "fragments")
-        if name in content
-    }
-    return lengths | ({"held": checked_choice(content["held"], "held", HELD)} if "held" in content else {})
+def checked_edit(content: Any) -> Edit:
+    """An edit from JSON, or with arrays in it."""
+    found = checked_fields(Edit, content)
+    rest = frozen_vertices(checked_items(found.pop("rest"), MAX_VERTICES, "rest"))
+    cage = Cage(rest, np.asarray(checked_items(found.pop("faces"), 4 * MAX_VERTICES, "faces")))
+    return dataclasses.replace(new_edit(found["id"], cage, found["name"], posed=found.pop("posed")), **found)
 
 
-def key_json(key: Key, rows: Callable[[np.ndarray], Any] = np.ndarray.tolist) -> dict[str, Any]:
-    """A key as JSON takes it. `rows`: what an array of it becomes."""
-    poses = None if key.poses is None else {str(number): rows(array) for number, array in key.poses.items()}
-    view = None if key.view is None else dataclasses.asdict(key.view)
-    held = {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing, "poses": poses, "view": view}
-    if key.places is not None:
-        held["places"] = {str(number): dataclasses.asdict(place) for number, place in key.places.items()}
-    return held
+@dataclasses.dataclass(frozen=True)
+class Document:
+    """All that a session edits; the first object is its own field."""
+
+    edits: tuple[Edit, ...] = option(MISSING, _parts(checked_edit, MAX_EDITS * MAX_OBJECTS))  # of all objects; those of
+    selection: Selection = option(MISSING, _ANY)  # each in the order in which they act
+    settings: Settings = option(MISSING, _part(lambda value: checked_settings(Settings(), value)))
+    view: View = option(MISSING, _part(checked_view))
+    timeline: Timeline = option(MISSING, _part(lambda value: Timeline(**checked_fields(Timeline, value))))
+    time: float = option(0.0, number(0.0, MAX_SECONDS))  # where the timeline stands, seconds
+    next_id: int = option(1, whole(1, MAX_ID + 1))  # of the next object, edit or key
+    objects: tuple[SceneObject, ...] = option((SceneObject(MAIN, "scene"),), _parts(_object, MAX_OBJECTS), since=2)
+
+    def edit(self, number: int) -> Edit:
+        """An edit by its number. Raises ValueError where there is none."""
+        if number is None:  # what is selected where there is none
+            raise InputError("no edit is selected: add or select one first")
+        return _numbered(self.edits, number)
+
+    def scene_object(self, number: int) -> SceneObject:
+        """An object by its number. Raises ValueError where there is none."""
+        return _numbered(self.objects, number, "an object", "removed")
+
+    def key(self, number: int) -> Key:
+        """A key by its number. Raises ValueError where there is none."""
+        return _numbered(self.timeline.keys, number, "a key")
+
+    def checked_selection(self, content: Any) -> Selection:
+        """A selection from edit, mode and vertices, and object where there is no edit; else the object stays active."""
+        content, number, size = renamed_keys(content, OLD_KEYS), content["edit"], 0
+        if number is None:
+            object_id = self.scene_object(content.get("object", self.selection.object_id)).id
+        else:
+            edit = self.edit(number)
+            object_id, size = edit.object_id, len(edit.rest)
+        mode = checked_choice(content["mode"], "mode", PICKS)
+        return Selection(number, mode, checked_vertices(content["vertices"], size), object_id)
+
+    def edits_of(self, number: int) -> tuple[Edit, ...]:
+        """The edits of an object, in the order in which they act."""
+        return tuple(edit for edit in self.edits if edit.object_id == number)
+
+    @property
+    def is_staged(self) -> bool:
+        """Whether there is more than the session's own field in its own place."""
+        return [one.place for one in self.objects] != [Place()]
+
+    @property
+    def free_id(self) -> int:
+        """The number of the next object, edit or key. Raises ValueError where a foreign session has used them up."""
+        if self.next_id > MAX_ID // 2:
+            raise InputError("this session has no numbers left for new objects, edits and keys: begin a new session")
+        return self.next_id
+
+    def with_edit(self, edit: Edit) -> Document:
+        """The document with an edit in the place of the one of the same number."""
+        return dataclasses.replace(self, edits=tuple(edit if old.id == edit.id else old for old in self.edits))
+
+    def with_object(self, one: SceneObject) -> Document:
+        """The document with an object in the place of the one of the same number."""
+        return dataclasses.replace(self, objects=tuple(one if old.id == one.id else old for old in self.objects))
+
+    def with_key(self, key: Key) -> Document:
+        """The document with a key added, or in the place of the one of the same number."""
+        return self.with_timeline(keys=by_time([*(old for old in self.timeline.keys if old.id != key.id), key]))
+
+    def with_timeline(self, **changes: Any) -> Document:
+        """The document with another film; one that is shorter takes the head to its end."""
+        film = dataclasses.replace(self.timeline, **changes)
+        if film.follows_keys:
+            last = max((key.time for key in film.keys), default=0.0)
+            film = dataclasses.replace(film, length=last or Timeline.length)
+        # Beyond the last key nothing moves: only the time changes.
+        time = min(self.time, film.length) if film.length < self.timeline.length else self.time
+        return dataclasses.replace(self, timeline=film, time=time)
+
+    def to_json(self, own: str = "scene") -> dict[str, Any]:
+        """The document as JSON takes it. Numbers keep all their digits.
+        own: what the session's field is called where a file says nothing of objects; such a file is that of before."""
+        content = part_json(self)
+        for entry in (*content["edits"], content["selection"]):
+            if entry["object"] == MAIN:
+                del entry["object"]
+        if not self.timeline.follows_keys:
+            del content["timeline"]["follows_keys"]
+        if self.objects == (SceneObject(MAIN, own),):
+            del content["objects"]
+        return content
+
+    @classmethod
+    def from_json(cls, content: Any) -> Document:
+        """A document from what `to_json`, or another program, made; edits and keys may be there already."""
+        try:
+            if not isinstance(content, Mapping):
+                raise InputError(f"a session must be a dictionary, got {type(content).__name__}")
+            made = dataclasses.replace(cls(**checked_fields(cls, content)), selection=Selection())
+            edits, objects, keys = made.edits, made.objects, made.timeline.keys
+            checked_items(edits, MAX_EDITS * len(objects), "edits")
+            known, sizes = {one.id for one in objects}, {one.id: len(one.rest) for one in edits}
+            if not objects or objects[0].id != MAIN or not {one.object_id for one in edits} <= known:
+                raise InputError(
+                    "the objects of the session must begin with its own scene file, and hold all of its edits"
+                )
+            numbers = [one.id for one in (*edits, *keys, *objects)]
+            if len(set(numbers)) < len(numbers):
+                raise InputError("two objects, edits or keys of the session have the same number")
+            for edit, pose in (each for key in keys for each in (key.poses or {}).items()):
+                if len(pose) != sizes.get(edit, len(pose)):
+                    raise InputError(f"vertices must be ({sizes[edit]}, 3) numbers, got shape {pose.shape}")
+            selection = made.checked_selection(content["selection"])
+            return dataclasses.replace(made, selection=selection, next_id=max(made.next_id, max(numbers) + 1))
+        except KeyError as error:
+            raise InputError(f"the session lacks {error.args[0]!r}") from None
+        except (TypeError, AttributeError, OverflowError, IndexError) as error:
+            raise InputError(f"the session is damaged: {error}") from None
 
 
-def _document(
-    content: Mapping[str, Any], edit: Callable[[Any], Edit], key: Callable[[Any, Mapping[int, int]], Key]
-) -> Document:
-    if not isinstance(content, Mapping):
-        raise InputError(f"a session must be a dictionary, got {type(content).__name__}")
-    content = renamed_keys(content, OLD_KEYS)
-    objects = tuple(_object(one) for one in checked_items(content.get("objects", _ONE_OBJECT), MAX_OBJECTS, "objects"))
-    edits = tuple(edit(one) for one in checked_items(content["edits"], MAX_EDITS * len(objects), "edits"))
-    sizes = {one.id: len(one.rest) for one in edits}
-    if (
-        not objects
-        or objects[0].id != MAIN
-        or not {one.object_id for one in edits} <= {scene_object.id for scene_object in objects}
-    ):
-        raise InputError("the objects of the session must begin with its own scene file, and hold all of its edits")
-    film = content["timeline"]
-    keys = tuple(key(one, sizes) for one in checked_items(film["keys"], MAX_KEYS, "keys"))
-    numbers = [one.id for one in (*edits, *keys, *objects)]
-    if len(set(numbers)) < len(numbers):
-        raise InputError("two objects, edits or keys of the session have the same number")
-    length = checked_number(film["length"], "length", 0.0, MAX_SECONDS)
-    return Document(
-        edits,
-        checked_selection(content["selection"], edits, objects),
-        checked_settings(Settings(), content["settings"]),
-        checked_view(content["view"]),
-        Timeline(
-            tuple(sorted(keys, key=lambda one: (one.time, one.id))),
-            length,
-            checked_number(film["fps"], "fps", 0.01, MAX_RATE),
-            checked_choice(film["loop"], "loop", LOOPS),
-            checked_flag(film.get("follows_keys", False), "follows_keys"),  # older files have a length of their own
-        ),
-        checked_number(content["time"], "time", 0.0, MAX_SECONDS),
-        max([checked_whole(content["next_id"], "next_id", 1, MAX_ID + 1), *(number + 1 for number in numbers)]),
-        objects,
-    )
-
-
-#: The objects of a session that says nothing of them.
-_ONE_OBJECT = ({"id": MAIN, "name": "scene"},)
-
-
-def checked_selection(
-    content: Mapping[str, Any], edits: Sequence[Edit], objects: Sequence[SceneObject], before: int = MAIN
-) -> Selection:
-    """A selection from edit, mode and vertices, and object where there is no edit; `before` where it names none."""
-    content = renamed_keys(content, OLD_KEYS)
-    number = content["edit"]
-    if number is None:
-        object_id, size = content.get("object", before), 0
-        if checked_whole(object_id, "the number of an object", MAIN, MAX_ID) not in [one.id for one in objects]:
-            raise InputError(f"there is no object {object_id!r}: it may have been removed")
-    else:
-        edit = next((edit for edit in edits if edit.id == checked_id(number, "the number of an edit")), None)
-        if edit is None:
-            raise InputError(f"there is no edit {number!r}: it may have been deleted")
-        object_id, size = edit.object_id, len(edit.rest)
-    mode = checked_choice(content["mode"], "mode", PICKS)
-    return Selection(number, mode, checked_vertices(content["vertices"], size), object_id)
-
-
-def checked_place(content: Any) -> Place:
-    """A place from what JSON has of its position, turn and scale."""
-    if not isinstance(content, Mapping):
-        raise InputError(f"a place must be an object with a position, a turn or a scale, got {shown(content)}")
-    triples = {name: checked_triple(content[name], name) for name in ("position", "turn") if name in content}
-    return Place(**triples, scale=checked_number(content.get("scale", 1.0), "scale", *SCALES))
-
-
-def _object(content: Mapping[str, Any]) -> SceneObject:
-    number, file = checked_whole(content["id"], "id", MAIN, MAX_ID), content.get("file")
-    if not isinstance(file, str | None) or (number == MAIN and file is not None):
-        raise InputError(f"the file of object {number} of the session must be a name; the first one has none")
-    flags = {name: checked_flag(content[name], name) for name in ("visible", "locked") if name in content}
-    return SceneObject(number, checked_name(content["name"]), file, checked_place(content.get("place", {})), **flags)
-
-
-def checked_edit(content: Mapping[str, Any]) -> Edit:
-    """An edit from what `edit_json`, or another program, made."""
-    content = renamed_keys(content, OLD_KEYS)
-    vertices = checked_items(content["rest"], MAX_VERTICES, "rest")
-    cage = Cage(frozen_vertices(vertices), np.asarray(checked_items(content["faces"], 4 * MAX_VERTICES, "faces")))
-    number = checked_id(content["id"], "id")
-    edit = new_edit(number, cage, content["name"], content["kind"], content["posed"])
-    object_id = checked_whole(content.get("object", MAIN), "the number of an object", MAIN, MAX_ID)
-    visible = checked_flag(content["visible"], "visible")
-    return dataclasses.replace(edit, visible=visible, object_id=object_id, **checked_walls(content))
-
-
-def checked_key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
-    """A key from what `key_json`, or another program, made. `sizes`: of cages, vertices by the number of the edit."""
-    poses, view, places = content["poses"], content["view"], content.get("places")
-    if poses is not None:
-        poses = {int(number): frozen_vertices(array, sizes.get(int(number))) for number, array in poses.items()}
-    return Key(
-        checked_id(content["id"], "id"),
-        checked_number(content["time"], "time", 0.0, MAX_SECONDS),
-        checked_name(content["name"]),
-        checked_easing(content["easing"], "easing"),
-        poses,
-        None if view is None else checked_view(view),
-        None if places is None else {int(number): checked_place(place) for number, place in places.items()},
-    )
+#: What a page sends, JSON values that were not checked; and a step: its name, and the document on its other side.
+Message = Mapping[str, Any]
+Step = tuple[str, Document]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import json
 import os
 import pathlib
@@ -38,10 +39,8 @@ def session_path(field: PathLike) -> pathlib.Path:
 def free_session_path(path: pathlib.Path) -> pathlib.Path:
     """The first name of NAME.1.session.json, NAME.2.session.json, ... that no file beside a session's file has."""
     stem = path.name.removesuffix(ENDING) if path.name.endswith(ENDING) else path.stem
-    number = 1
-    while os.path.lexists(other := path.with_name(f"{stem}.{number}{ENDING}")):
-        number += 1
-    return other
+    names = (path.with_name(f"{stem}.{number}{ENDING}") for number in itertools.count(1))
+    return next(name for name in names if not os.path.lexists(name))
 
 
 def file_stamp(path: pathlib.Path) -> Stamp | None:

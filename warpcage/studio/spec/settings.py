@@ -87,10 +87,9 @@ def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings
     unknown = sorted(set(changes) - set(SETTINGS))
     if unknown:
         raise InputError(f"there is no setting {unknown[0][:40]!r}, only {listed(sorted(SETTINGS), most=40)}")
-    absent = {name for name, value in changes.items() if value is None and defaults_of(Settings)[name] is None}
-    checked = {
-        name: None if name in absent else SETTINGS[name].values.check(value, name) for name, value in changes.items()
-    }
+    defaults, checked = defaults_of(Settings), {}
+    for name, value in changes.items():
+        checked[name] = value if value is None is defaults[name] else SETTINGS[name].values.check(value, name)
     return dataclasses.replace(settings, **checked)
 
 

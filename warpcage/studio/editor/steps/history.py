@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import dataclasses
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -16,21 +17,8 @@ from ....core.names import agreed, counted, renamed_keys
 from ....errors import InputError
 from ....render.surface_mesh import AnyObject, object_size
 from ...films.checks import MAX_LINE, checked_items
-from ...films.document import (
-    OLD_KEYS,
-    Document,
-    Edit,
-    Key,
-    Step,
-    Timeline,
-    checked_edit,
-    checked_key,
-    edit_json,
-    key_json,
-    selection_json,
-)
+from ...films.document import OLD_KEYS, Document, Edit, Key, Step, checked_edit, checked_key, part_json
 from ...films.session.scene import Fields
-from ...spec.settings import Settings
 
 #: Steps that can be undone.
 DEPTH = 500
@@ -59,28 +47,27 @@ class History:
 
     def undo(self, present: Document) -> Step:
         """The step that is undone and the document before it. Raises ValueError where there is none."""
-        if not self.undo_steps:
-            raise InputError("there is nothing to undo")
-        label, before = self.undo_steps.pop()
-        self.redo_steps.append((label, present))
-        return label, _as_it_was(before, present)
+        return self._step("undo", self.undo_steps, self.redo_steps, present)
 
     def redo(self, present: Document) -> Step:
         """The step that is done again and the document after it. Raises ValueError where there is none."""
-        if not self.redo_steps:
-            raise InputError("there is nothing to redo")
-        label, after = self.redo_steps.pop()
-        self.undo_steps.append((label, present))
-        return label, _as_it_was(after, present)
+        return self._step("redo", self.redo_steps, self.undo_steps, present)
 
-    def summary(self) -> dict[str, object]:
+    @staticmethod
+    def _step(verb: str, steps: list[Step], others: list[Step], present: Document) -> Step:
+        if not steps:
+            raise InputError(f"there is nothing to {verb}")
+        label, document = steps.pop()
+        others.append((label, present))
+        if document.time != present.time:  # it goes to the time at which it was left: a key must not land elsewhere
+            present = dataclasses.replace(present, time=document.time, view=document.view)
+        return label, seen_as(document, present)
+
+    def summary(self) -> dict[str, Any]:
         """How many steps there are each way, and the names of the next ones."""
-        return {
-            "undo": len(self.undo_steps),
-            "redo": len(self.redo_steps),
-            "undo_label": self.undo_steps[-1][0] if self.undo_steps else None,
-            "redo_label": self.redo_steps[-1][0] if self.redo_steps else None,
-        }
+        sides = {"undo": self.undo_steps, "redo": self.redo_steps}
+        labels = {f"{side}_label": steps[-1][0] if steps else None for side, steps in sides.items()}
+        return {side: len(steps) for side, steps in sides.items()} | labels
 
     def to_json(self, present: Document, fields: Fields) -> dict[str, Any]:
         """What a session's file keeps of the steps beside the present document, as JSON takes it: the nearest ones."""
@@ -96,16 +83,6 @@ def seen_as(document: Document, present: Document) -> Document:
     """A document, seen from where the person looks now. Numbers that were given out stay so."""
     number = max(document.next_id, present.next_id)
     return dataclasses.replace(document, view=present.view, time=present.time, next_id=number)
-
-
-def _as_it_was(document: Document, present: Document) -> Document:
-    """A document of the history at the time of the film that it was left at: a key must not land elsewhere."""
-    return seen_as(
-        document,
-        present
-        if document.time == present.time
-        else dataclasses.replace(present, time=document.time, view=document.view),
-    )
 
 
 def read_history(content: Any, fields: Fields, load: Callable[[str], AnyObject]) -> tuple[History, str | None]:
@@ -145,12 +122,9 @@ class _Gone:
 
     def _has(self, file: str) -> bool:
         if file not in self._known:
-            files = self._fields.files
-            try:
+            self._known[file], files = False, self._fields.files
+            with contextlib.suppress(OSError, ValueError):
                 field = self._fields.main if not file else files[file] if file in files else self._load(file)
-            except (OSError, ValueError):
-                self._known[file] = False
-            else:
                 self._known[file] = self.marks.get(file) == _mark(field)
                 if file and self._known[file]:
                     files[file] = field
@@ -161,9 +135,8 @@ class _Gone:
         if not self.count:
             return None
         names = [file or "the session's field" for file, is_there in self._known.items() if not is_there]
-        verb = agreed(len(names), "is", "are")
-        steps = counted(self.count, "undo step")
-        return f"{steps} {agreed(self.count, 'is', 'are')} left out: {listed(names)} {verb} gone or changed."
+        steps, verb = counted(self.count, "undo step"), agreed(self.count, "is", "are")
+        return f"{steps} {verb} left out: {listed(names)} {agreed(len(names), 'is', 'are')} gone or changed."
 
 
 def _mark(field: AnyObject) -> Mark:
@@ -199,29 +172,20 @@ class _Pool:
         return kept[::-1]
 
     def _document(self, document: Document) -> dict[str, Any]:
-        return {
-            "edits": [self._number(edit, lambda one: edit_json(one, self._array)) for edit in document.edits],
-            "objects": [self._number(one, dataclasses.asdict) for one in document.objects],
-            "selection": self._number(document.selection, selection_json),
-            "settings": self._number(document.settings, Settings.to_json),
-            "view": self._number(document.view, dataclasses.asdict),
-            "timeline": self._number(document.timeline, self._film),
-            "time": document.time,
-            "next_id": document.next_id,
-        }
+        content = {name: [*map(self._number, getattr(document, name))] for name in ("edits", "objects")}
+        content |= {name: self._number(getattr(document, name)) for name in _PARTS}
+        return content | {"time": document.time, "next_id": document.next_id}
 
-    def _film(self, film: Timeline) -> dict[str, Any]:
-        keys = [self._number(key, lambda one: key_json(one, self._array)) for key in film.keys]
-        return {"keys": keys, **{name: getattr(film, name) for name in ("length", "fps", "loop", "follows_keys")}}
+    def _inner(self, value: Any) -> Any:
+        """What a part holds, as JSON takes it: arrays and keys are in the pool, too."""
+        return self._number(value) if isinstance(value, np.ndarray | Key) else part_json(value, self._inner)
 
-    def _array(self, array: np.ndarray) -> int:
-        return self._number(array, lambda rows: base64.b64encode(rows.tobytes()).decode())
-
-    def _number(self, part: Any, made: Callable[[Any], Any]) -> int:
-        """The number of a part, which is put into the pool where it is not in it; made: what JSON has of it."""
+    def _number(self, part: Any) -> int:
+        """The number of a part, which is put into the pool where it is not in it."""
         number = self._by_object.get(id(part))
         if number is None:
-            content = made(part)
+            is_array = isinstance(part, np.ndarray)
+            content = base64.b64encode(part.tobytes()).decode() if is_array else part_json(part, self._inner)
             text = json.dumps(content)
             number = self._by_text.setdefault(text, len(self.parts))
             if number == len(self.parts):
@@ -236,9 +200,7 @@ class _Reader:
 
     def __init__(self, parts: Any):
         self._parts = parts
-        self._edits: dict[int, Edit] = {}
-        self._keys: dict[int, Key] = {}
-        self._arrays: dict[tuple[str, int], np.ndarray] = {}
+        self._known: dict[tuple[Any, int], Any] = {}  # by what made them and their numbers
 
     def step(self, content: Any) -> Step:
         """A step from what the pool made of it."""
@@ -246,41 +208,39 @@ class _Reader:
         held = renamed_keys(held, OLD_KEYS)
         if not isinstance(label, str):
             raise InputError("the name of a step must be a text")
-        parts = {name: self._part(held[name]) for name in ("selection", "settings", "view", "timeline")}
-        objects = [self._part(number) for number in held["objects"]]
-        return label[:MAX_LINE], Document.from_json({**held, **parts, "objects": objects}, self._edit, self._key)
+        parts = {name: self._part(held[name]) for name in _PARTS}
+        parts["objects"] = [self._part(number) for number in held["objects"]]
+        parts["edits"] = [self._once(self._edit, number) for number in held["edits"]]
+        keys = [self._once(self._key, number) for number in parts["timeline"]["keys"]]
+        return label[:MAX_LINE], Document.from_json(held | parts | {"timeline": parts["timeline"] | {"keys": keys}})
 
     def _part(self, number: Any) -> Any:
         return self._parts[checked_whole(number, "the number of a part", 0, len(self._parts) - 1)]
 
-    def _rows(self, number: Any, kind: str) -> list[Any]:
-        return np.frombuffer(base64.b64decode(self._part(number), validate=True), kind).reshape(-1, 3).tolist()
+    def _once(self, make: Callable[..., Any], number: Any, *arguments: Any) -> Any:
+        """What is made of a part of the pool, once for all that hold it."""
+        place, content = (make, number, *arguments), self._part(number)
+        if place not in self._known:
+            self._known[place] = make(content, *arguments)
+        return self._known[place]
 
-    def _edit(self, number: Any) -> Edit:
-        if number not in self._edits:
-            content = self._part(number)
-            rows = {name: self._rows(content[name], kind) for name, kind in _KINDS.items()}
-            made = checked_edit({**content, **rows})
-            shared: dict[str, Any] = {
-                name: self._arrays.setdefault((kind, content[name]), getattr(made, name))
-                for name, kind in _KINDS.items()
-            }
-            self._edits[number] = dataclasses.replace(made, **shared)
-        return self._edits[number]
+    def _edit(self, content: Any) -> Edit:
+        rows: Any = {name: self._once(_rows, content[name], kind) for name, kind in _KINDS.items()}
+        return dataclasses.replace(checked_edit(content | rows), **rows)
 
-    def _key(self, number: Any, sizes: Mapping[int, int]) -> Key:
-        if number not in self._keys:
-            content, kind = self._part(number), _KINDS["posed"]
-            held = content["poses"] or {}
-            rows = {edit: self._rows(array, kind) for edit, array in held.items()}
-            made = checked_key({**content, "poses": rows or None}, sizes)
-            shared = {
-                int(edit): self._arrays.setdefault((kind, array), (made.poses or {})[int(edit)])
-                for edit, array in held.items()
-            }
-            self._keys[number] = dataclasses.replace(made, poses=shared or None)
-        return self._keys[number]
+    def _key(self, content: Any) -> Key:
+        held = content["poses"] or {}
+        poses = {int(edit): self._once(_rows, array, _KINDS["posed"]) for edit, array in held.items()} or None
+        return dataclasses.replace(checked_key(content | {"poses": poses}), poses=poses)
 
+
+def _rows(text: Any, kind: str) -> np.ndarray:
+    """An array (n, 3) of the base64 of its numbers, read-only."""
+    return np.frombuffer(base64.b64decode(text, validate=True), kind).reshape(-1, 3)
+
+
+#: Parts of a document that are one part of the pool each.
+_PARTS = ("selection", "settings", "view", "timeline")
 
 #: The numbers in the arrays of an edit.
 _KINDS = {"faces": "<i4", "rest": "<f8", "posed": "<f8"}

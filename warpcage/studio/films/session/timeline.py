@@ -24,7 +24,7 @@ from ....view import motion as between
 from ....view.camera import Camera, CameraKey
 from ....view.camera_path import timed_keys
 from ..checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, checked_name, frozen_vertices
-from ..document import Document, Key, Timeline, View
+from ..document import Document, Key, Timeline, View, by_time
 from ..moves import CameraMove, MovingCamera, camera_moves, within_sight
 from .scene import Fields, view_camera
 
@@ -181,7 +181,7 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
     count = len(keys) + len(file) + len(file.cameras)
     if count > MAX_KEYS:
         raise InputError(f"a film has at most {MAX_KEYS} keys, this one would have {count}")
-    by_time = {key.time: key for key in keys}
+    kept, at = {key.id: key for key in keys}, {key.time: key for key in keys}
     spread = [float(time) for time in np.linspace(0.0, document.timeline.length, len(file))]
     next_id = document.next_id
     for name, evenly in zip(file.names, spread, strict=True):
@@ -189,27 +189,24 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
         if not 0.0 <= time <= MAX_SECONDS:
             raise InputError(f"keyframe {name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
         easing = known_easing(name, file.easings.get(name, "smooth"))
-        held = by_time.get(time)
+        held = at.get(time)
         if held is None or number in (held.poses or {}):  # two keyframes of one time: a jump
             held = Key(next_id, time, "", easing)
             next_id += 1
         poses = dict(sorted([*(held.poses or {}).items(), (number, frozen_vertices(file[name].vertices))]))
         shown = " ".join(name.split())[:MAX_NAME]
-        key = dataclasses.replace(held, name=shown, easing=easing, poses=poses)
-        keys = [other for other in keys if other.id != key.id] + [key]
-        by_time[time] = key
+        kept[held.id] = at[time] = dataclasses.replace(held, name=shown, easing=easing, poses=poses)
     for looking in timed_keys(file.cameras) if file.cameras else []:
         time = looking.time or 0.0
         if time > MAX_SECONDS:
             raise InputError(f"camera {looking.name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
-        held = by_time.get(time)
+        held = at.get(time)
         if held is None:
             held = Key(next_id, time, " ".join(looking.name.split())[:MAX_NAME] or f"camera {next_id}", looking.easing)
             next_id += 1
-        key = dataclasses.replace(held, view=view_of(looking, edit.rest_cage.bounds.mean(axis=0), document.view.up))
-        keys = [other for other in keys if other.id != key.id] + [key]
-        by_time[time] = key
-    return _with_keys(document, keys, next_id)
+        view = view_of(looking, edit.rest_cage.bounds.mean(axis=0), document.view.up)
+        kept[held.id] = at[time] = dataclasses.replace(held, view=view)
+    return _with_keys(document, [*kept.values()], next_id)
 
 
 def with_camera_moves(document: Document, text: str, seen: Sequence[Camera]) -> tuple[Document, str]:
@@ -297,8 +294,8 @@ def with_framed_views(document: Document, fields: Fields, aspect: float) -> Docu
 
 def _with_keys(document: Document, keys: list[Key], next_id: int) -> Document:
     """The document with these keys, by time; the film gets longer where they go on."""
-    keys = sorted(keys, key=lambda key: (key.time, key.id))
-    document = document.with_timeline(keys=tuple(keys), length=max(document.timeline.length, keys[-1].time))
+    length = max(document.timeline.length, *(key.time for key in keys))
+    document = document.with_timeline(keys=by_time(keys), length=length)
     return dataclasses.replace(document, next_id=next_id)
 
 
