@@ -10,8 +10,8 @@ from .coordinates.coordinates import harmonic_coordinates as harmonic_coordinate
 from .coordinates.coordinates import mean_value_coordinates as mean_value_coordinates
 from .deform.bake import bake as bake
 from .deform.deformer import Deformer as Deformer
+from .deform.deformer import SplatDeformer as SplatDeformer
 from .deform.fill import fill_unseen as fill_unseen
-from .deform.splat_deformer import SplatDeformer as SplatDeformer
 from .deform.stage import Stage as Stage
 from .edits.edits import CageEdit as CageEdit
 from .edits.place import Place as Place

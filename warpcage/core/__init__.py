@@ -23,7 +23,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "modules": "load_modules",
         "names": "COORDINATES EASINGS agreed counted error_line",
         "npz": "NpyFile joined_crc npz_names read_npz",
-        "overlap": "BackgroundWriter SPARE stream",
         "threads": (
             "PART_SECONDS THREADS_VARIABLE cpu_threads device_turn limit_threads owner_lock run_parallel run_parts"
         ),

@@ -26,8 +26,8 @@ class Values(NamedTuple):
     schema: Mapping[str, Any] = {}  # of JSON Schema
     convert: Callable[[str], Any] = str  # makes the value of a flag's text; ValueError leaves that to `check`
 
-    def parse(self, text: str) -> Any:
-        """The value that the text of a flag stands for. Raises ValueError for others."""
+    def parse(self, text: str, name: str = "") -> Any:
+        """The value that the text of a flag stands for. Raises ValueError for others; name: what messages call it."""
         value: Any = text
         try:
             value = self.convert(text)
@@ -36,8 +36,8 @@ class Values(NamedTuple):
         except (ValueError, OverflowError):
             pass
         with contextlib.suppress(ValueError):
-            return self.check(value, "")
-        return self.check(text, "")  # which says what would be right
+            return self.check(value, name)
+        return self.check(text, name)  # which says what would be right
 
     @property
     def choices(self) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from warpcage import Cage, PoseFile, VoxelField, deform_points, edit
 from warpcage.studio.editor import COMMANDS, History, frozen_vertices, losses, read_history, replace_cage
 from warpcage.studio.editor import tasks as tasks_module
 from warpcage.studio.editor.steps import history
-from warpcage.studio.films import session_file
+from warpcage.studio.films.session import session_file
 
 __all__ = ["editor", "window"]  # fixtures
 

@@ -33,8 +33,8 @@ from ..films.render import Look, require_voxels
 from ..films.session.exports import DEFAULT_SIZE, export_film, film_shot
 from ..films.session.exports import Film as SessionFilm
 from ..films.session.scene import read_fields, require_alone, view_camera
+from ..films.session.session_file import read_session
 from ..films.session.timeline import document_at, frame_rate, frame_times
-from ..films.session_file import read_session
 from ..films.timeline import MovingScene, Timeline
 from ..films.video import checked_rate
 from ..jobs.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs

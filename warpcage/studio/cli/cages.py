@@ -40,7 +40,7 @@ from ...view.camera import CameraKey
 from ..films.edits import Deformation, read_edits_file, write_edits_file
 from ..films.render import require_voxels
 from ..films.resolve import AssetResolver, RestCage, ending
-from ..films.session_file import free_session_path, is_session, session_edits, session_path
+from ..films.session.session_file import free_session_path, is_session, session_edits, session_path
 from . import shared
 from .arguments import options
 from .cameras import asset_resolver, named_camera

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import pathlib
 import re
 import sys
@@ -23,7 +24,7 @@ from ...deform.deformer import Deformer
 from ...deform.stage import Stage
 from ...edits.edits import MAX_CELLS, picture_cells
 from ...edits.place import Place
-from ...edits.spec import EditSpec, held_walls
+from ...edits.spec import EditSpec
 from ...edits.stage_file import STAGE_ENDING, free_name
 from ...errors import InputError
 from ...mesh.io import ENDINGS
@@ -39,7 +40,7 @@ from ...view.alignment import Similarity
 from ...view.camera import Camera
 from ..films import render
 from ..films.edits import Deformation, EditReader, read_edits_file
-from ..films.session_file import is_session, session_edits
+from ..films.session.session_file import is_session, session_edits
 from ..films.timeline import Objects, shown_corners
 from ..spec.film import FilmSpec
 from ..spec.scene import SceneSpec
@@ -95,8 +96,10 @@ EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remo
 
 #: The last option after the cages, and how their values are read.
 _LAST_OPTION = re.compile(r"(?:(.*):)?(?:(keep|remove)|(falloff|fragments|crumbs|held|object)=([^:]*))", re.DOTALL)
-_VALUES: dict[str, Any] = dict.fromkeys(("falloff", "fragments"), options.positive_float)
-_VALUES["held"] = lambda text: held_walls(text, "held")
+_VALUES = {
+    name: functools.partial(options_of(EditSpec)[name].values.parse, name=name)
+    for name in ("falloff", "fragments", "held")
+}
 
 #: A text that is none of them, after a posed cage: only glTF and pose files hold objects with names.
 _SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)

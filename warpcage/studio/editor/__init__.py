@@ -23,7 +23,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         ".films.session.scene": "Fields PosedScene read_fields same_pose view_camera",
         "server": "Server",
         "session": "Session new_document",
-        ".films.session_file": "file_stamp free_session_path read_session session_path write_session",
+        ".films.session.session_file": "file_stamp free_session_path read_session session_path write_session",
         "steps.history": "DEPTH History read_history",
         "steps.losses": "losses",
         "objects": "field_files stage_of with_new_object with_stage",

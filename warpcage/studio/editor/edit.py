@@ -23,7 +23,7 @@ from ...render.surface_mesh import load_object
 from ...splats.splat_field import AnyField, SplatField, load_field
 from ..films.document import Document
 from ..films.session.scene import read_fields
-from ..films.session_file import file_stamp, object_name, read_kept, session_path
+from ..films.session.session_file import file_stamp, object_name, read_kept, session_path
 from .objects import is_stage, stage_field, with_stage
 from .session import Session, new_document, view_of_box
 from .steps.history import read_history

@@ -37,7 +37,7 @@ from ..films.document import (
 )
 from ..films.session import timeline
 from ..films.session.scene import Fields
-from ..films.session_file import Export, Stamp, file_stamp, free_session_path, write_session
+from ..films.session.session_file import Export, Stamp, file_stamp, free_session_path, write_session
 from . import commands, objects
 from .steps.history import History, seen_as
 from .steps.losses import losses

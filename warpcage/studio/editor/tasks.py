@@ -28,7 +28,7 @@ from ..films.checks import checked_id
 from ..films.document import Document, Step
 from ..films.session import exports, timeline
 from ..films.session.exports import requested_film
-from ..films.session_file import ENDING, MAX_EXPORTS, Export, Stamp, file_stamp
+from ..films.session.session_file import ENDING, MAX_EXPORTS, Export, Stamp, file_stamp
 from . import commands
 from .objects import ObjectTasks, clicked
 from .session import Session

@@ -8,6 +8,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "edits": "Deformation EditReader PosedEdit read_edits_file write_edits_file",
         "film": "Film",
         "folder": "atomic_folder checked_film_path frame_files frame_path make_folder",
+        "overlap": "BackgroundWriter SPARE stream",
         "motion": "cameras_along frame_places path_cameras pose_along pose_weights",
         "moves": "CameraMove MovingCamera camera_moves",
         "render": "Look",

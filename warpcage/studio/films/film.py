@@ -21,7 +21,6 @@ from ...cage.pose_file import DEFAULT_RATE, PoseFile, posed_cage
 from ...core.checks import checked_path, checked_positive, checked_whole, require_type, shown
 from ...core.files import PathLike
 from ...core.names import MOVE_HELP, checked_choice, counted
-from ...core.overlap import BackgroundWriter
 from ...core.reports import Progress, report_progress, reports_progress
 from ...deform.deformer import Deformer
 from ...deform.poses import PoseLike
@@ -43,6 +42,7 @@ from ..spec.film import MAX_FRAMES
 from .folder import checked_film_path, frame_path, make_folder
 from .motion import path_cameras
 from .moves import CameraMove, MovingCamera, camera_moves
+from .overlap import BackgroundWriter
 from .render import Look, Scene, Shot, blurred_picture, drawn_cages, finished, picture_task, pose_bytes, render_shot
 from .resolve import AssetResolver
 from .timeline import SIDES, CameraTrack, middle, moving_track, shown_corners

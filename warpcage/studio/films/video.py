@@ -18,11 +18,11 @@ from ...core.checks import Cuts, checked_positive, checked_whole
 from ...core.files import atomic_path
 from ...core.memory import require_host_memory
 from ...core.npz import read_npz, require_numbers
-from ...core.overlap import stream
 from ...core.reports import Progress, report_progress, reports_progress
 from ...errors import InputError
 from ...view.motion import frame_rate
 from ...view.pictures import COLORS, as_rgb, path_with_ending, picture_cuts, read_image, to_uint8
+from .overlap import stream
 
 #: Endings of films, and of films with opacity.
 FILM_ENDINGS, CLEAR_ENDINGS = (".mp4", ".gif", ".mov", ".webm"), (".mov", ".webm")

@@ -19,7 +19,6 @@ from ...cage.cage import Cage
 from ...core.arrays import array_bytes
 from ...core.devices import resolve_device
 from ...core.memory import LRUCache, free_bytes, is_shortage
-from ...core.overlap import SPARE, TASK_THREADS, Gate
 from ...core.threads import cpu_threads
 from ...deform.deformer import Deformer
 from ...edits.edits import edit_from_spec, picture_cells
@@ -39,6 +38,7 @@ from ...view.exr import write_picture
 from ...view.frame import RGB_BYTES, Frame, depth_along_view
 from ...view.frame_parts import picture
 from ...view.pictures import LIGHT_KEPT, PictureCuts
+from ..films.overlap import SPARE, TASK_THREADS, Gate
 from ..films.render import HeldPose, Look, Shot, blurred_picture, drawn_cages, render_shot, require_fillable
 from ..films.resolve import AssetResolver, RestCage
 from ..films.video import write_film_frame

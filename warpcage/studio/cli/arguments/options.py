@@ -225,7 +225,7 @@ field  field file: voxels (.npz) or splats ({SPLATS}), or an output folder of 3D
 SHARED_VALUES: dict[str, Any] = {
     "as": {"dest": "representation", "choices": ("voxels", "splats")},
     "cage_up": ("y", "z"),
-    "crumbs": {"dest": "fragments", "action": OldName, "type": positive_float},
+    "crumbs": {"dest": "fragments", "action": OldName, "type": length},
     "add": {"action": "append"},
     "edit": {"action": "append"},
     "frame": {"action": _FrameWord},

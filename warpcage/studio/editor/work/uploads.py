@@ -20,7 +20,7 @@ from ....errors import InputError
 from ....mesh.io.formats import mesh_endings
 from ....render.surface_file import SURFACE_ENDINGS
 from ....splats.io.formats import endings_read
-from ...films.session_file import ENDING
+from ...films.session.session_file import ENDING
 
 #: Bytes of an uploaded file's name.
 MAX_NAME_BYTES = 120

@@ -16,7 +16,6 @@ from ....cage.cage import Cage
 from ....core.checks import checked_flag, checked_whole
 from ....core.files import PathLike
 from ....core.names import TRANSPARENT
-from ....core.overlap import BackgroundWriter
 from ....deform.bake import bake
 from ....deform.deformer import Deformer
 from ....errors import InputError
@@ -29,6 +28,7 @@ from ...spec.settings import Settings
 from .. import film as films
 from ..document import MAIN, Document
 from ..folder import atomic_folder, checked_film_path
+from ..overlap import BackgroundWriter
 from ..render import Look, Scene
 from ..video import checked_rate, require_clear_film, write_film
 from .scene import Fields, PosedScene, view_camera

@@ -14,7 +14,7 @@ from refusals import refused
 from runs import DEFORMED, SMALL, run, succeed
 
 import warpcage.studio.films.video as film
-from warpcage.core import SPARE, BackgroundWriter, stream
+from warpcage.studio.films import SPARE, BackgroundWriter, stream
 from warpcage.studio.films import render as commands
 from warpcage.studio.films.render import Look
 from warpcage.studio.films.video import write_film
@@ -274,8 +274,8 @@ def test_a_film_that_cannot_be_encoded_ends_the_rendering(files, tmp_path, capsy
 
     count = count_frames(monkeypatch, {})
     monkeypatch.setattr(film, "even_frame", full)
-    monkeypatch.setattr("warpcage.core.overlap.SPARE", 0)
-    monkeypatch.setattr("warpcage.core.overlap.PREPARING_THREADS", 1)
+    monkeypatch.setattr("warpcage.studio.films.overlap.SPARE", 0)
+    monkeypatch.setattr("warpcage.studio.films.overlap.PREPARING_THREADS", 1)
     assert run(files, *ANIMATE, tmp_path / "film.mp4") == 2
     assert re.fullmatch(MESSAGES["core.no_space"] + "\n", capsys.readouterr().err)
     assert list(tmp_path.iterdir()) == [] and len(count) < 8

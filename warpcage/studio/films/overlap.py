@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
 
-from .threads import cpu_threads
+from ...core.threads import cpu_threads
 
 #: Bytes of what waits and is worked on, at most; of larger items one at a time.
 ROOM = 1 << 29

@@ -11,14 +11,14 @@ import pathlib
 from collections.abc import Iterable
 from typing import Any
 
-from ...core.checks import listed
-from ...core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file, require_version
-from ...core.names import renamed_keys
-from ...errors import InputError
-from ...splats.splat_field import AnyField
-from .checks import MAX_LINE, MAX_NAME
-from .document import MAIN, OLD_KEYS, Document
-from .edits import Deformation, PosedEdit, named
+from ....core.checks import listed
+from ....core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file, require_version
+from ....core.names import renamed_keys
+from ....errors import InputError
+from ....splats.splat_field import AnyField
+from ..checks import MAX_LINE, MAX_NAME
+from ..document import MAIN, OLD_KEYS, Document
+from ..edits import Deformation, PosedEdit, named
 
 #: Version 2 has several objects, 3 has them and fragments by these names; all are read.
 FORMAT, VERSION = "warpcage session", 3
