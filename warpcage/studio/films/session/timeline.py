@@ -363,8 +363,7 @@ def _closes(film: Timeline, track: _Track) -> bool:
 
 def _view_track(moments: Sequence[Key]) -> list[tuple[Key, np.ndarray]]:
     """Keys of cameras as numbers (10,), such that a camera turns about its target by the shorter way."""
-    # Target, log of the distance, angle about the first key's up, angle above the plane across it, up, and the focal
-    # length in heights of a picture: camera and pose files interpolate that.
+    # Target, log of the distance, angle about the first key's up, angle above the plane across it, up, field of view.
     views = [(key, key.view) for key in moments if key.view is not None]
     if not views:
         return []
@@ -375,7 +374,7 @@ def _view_track(moments: Sequence[Key]) -> list[tuple[Key, np.ndarray]]:
     azimuths = np.unwrap(np.arctan2(y, x))
     elevations = np.arcsin(np.clip(z, -1.0, 1.0))
     return [
-        (key, np.array([*view.target, math.log(distance), azimuth, elevation, *view.up, _focal(view.fov)]))
+        (key, np.array([*view.target, math.log(distance), azimuth, elevation, *view.up, view.fov]))
         for (key, view), distance, azimuth, elevation in zip(views, distances, azimuths, elevations, strict=True)
     ]
 
@@ -388,19 +387,13 @@ def _view_at(track: Sequence[tuple[Key, np.ndarray]], time: float, closed: bool)
     assert first is not None and held is not None
     if value is track[place][1]:
         return held
-    target, up, focal = value[:3], value[6:9], max(float(value[9]), _focal(LARGEST_FOV))
+    target, up, fov = value[:3], value[6:9], float(value[9])
     azimuth, elevation = value[4:6].tolist()
     direction = [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
     eye = target + math.exp(value[3]) * (_frame(np.array(first.up)) @ direction)
     length = float(np.linalg.norm(up))
     up = up / length if length > 1e-9 else np.array(held.up)  # half-way between opposite ones
-    fov = math.degrees(2.0 * math.atan(0.5 / focal))
     return View(triple(eye), triple(target), triple(up), min(max(fov, MIN_FOV), LARGEST_FOV))
-
-
-def _focal(fov: float) -> float:
-    """The focal length, in heights of a picture, of a vertical field of view in degrees."""
-    return 0.5 / math.tan(math.radians(fov) / 2)
 
 
 def _frame(up: np.ndarray) -> np.ndarray:
