@@ -308,5 +308,5 @@ def test_without_its_library_usd_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pxr", None)
     (tmp_path / "a.usda").write_text("#usda 1.0\n")
     for attempt in (lambda: BOX.save(tmp_path / "b.usdc"), lambda: Cage.load(tmp_path / "a.usda")):
-        refused(attempt, match=r'pip install "warpcage\[usd\]"', error=ImportError)
+        refused(attempt, match=r"pip install .*\[usd\]", error=ImportError)
     assert not (tmp_path / "b.usdc").exists()

@@ -160,5 +160,5 @@ def test_films_and_pictures_that_cannot_be(tmp_path, monkeypatch):
     refused(lambda: write_film(tmp_path / "film.webm", []), match="at least one frame")
     refused(lambda: write_exr(tmp_path / "one.exr", np.zeros((4, 4, 3)), np.zeros((2, 2))), match="depth must be")
     monkeypatch.setitem(__import__("sys").modules, "OpenEXR", None)
-    refused(lambda: write_exr(tmp_path / "one.exr", np.zeros((4, 4, 3))), match=r'pip install "warpcage\[exr\]"')
+    refused(lambda: write_exr(tmp_path / "one.exr", np.zeros((4, 4, 3))), match=r"pip install .*\[exr\]")
     assert not list(tmp_path.iterdir())
