@@ -19,7 +19,7 @@ from common import GROWTH, JSON, ball_field, command, option, resident, write_re
 import warpcage
 import warpcage.studio.films.video as film
 from warpcage import PoseFile
-from warpcage.core import BackgroundWriter
+from warpcage.studio.films import BackgroundWriter
 from warpcage.studio.jobs import ProcessEngine, run, write_jobs
 from warpcage.view import write_png
 

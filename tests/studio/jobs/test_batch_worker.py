@@ -19,8 +19,8 @@ from splat_scenes import splats_in_box
 
 from warpcage import Cage, CageEdit, Camera, CameraFile, Deformer, Frame, PoseFile, VoxelField, load_scene
 from warpcage.cage.pose_file import MOVING_ENDINGS
-from warpcage.core import SPARE
 from warpcage.mesh.io.vertex_cache import CACHE_ENDINGS
+from warpcage.studio.films import SPARE
 from warpcage.studio.films.render import Look
 from warpcage.studio.jobs import MAX_DEFORMERS, PARTS, Fingerprints, Item, JobFile, Missing, Worker, write_array
 from warpcage.view import linear_light, read_image, write_picture
