@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from types import FrameType
 from typing import Any, NoReturn, TextIO
 
@@ -52,8 +52,9 @@ example, from pictures to a bent object:
 """
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser of all commands. `command` of what it reads is the name of the chosen one, or None."""
+def build_parser(chosen: Collection[str] | None = None) -> argparse.ArgumentParser:
+    """The parser of all commands. `command` of what it reads is the name of the chosen one, or None.
+    chosen: which get their options, as others need none; None: all."""
     parser = _Parser(
         prog="warpcage",
         description="Fit a radiance field to pictures, put a cage around it, pose the cage, render the deformed scene.",
@@ -75,7 +76,8 @@ def build_parser() -> argparse.ArgumentParser:
         if name in _FIRST:
             text = "show the usual options and exit; --help all: show all of them"
             subparser.add_argument("-h", "--help", action=_Help, first=_FIRST[name].split(), metavar="all", help=text)
-        command.add_arguments(subparser)
+        if chosen is None or name in chosen:
+            command.add_arguments(subparser)
         subparser.add_argument("--verbose", action="store_true", help="also say what is loaded and tried")
     return parser
 
@@ -265,7 +267,7 @@ def _line(error: Exception | str) -> str:
 
 
 def _run_command(argv: list[str] | None) -> int:
-    parser = build_parser()
+    parser = build_parser(None if "_ARGCOMPLETE" in os.environ else sys.argv[1:] if argv is None else argv)
     if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions
         importlib.import_module("argcomplete").autocomplete(parser)
     with warnings.catch_warnings():
