@@ -48,6 +48,9 @@ SPLAT_MAPS: tuple[str, ...] = get_args(SplatMap)
 Quality: TypeAlias = Literal["fast", "standard", "high"]
 QUALITIES: tuple[str, ...] = get_args(Quality)
 
+#: Most frames of a film, more than 11 hours at 24 a second, and most rays along each side of a pixel.
+MAX_FRAMES, MAX_SUPERSAMPLING = 1_000_000, 8
+
 #: Colours behind a picture, by name.
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5)}
 

@@ -49,7 +49,7 @@ class Option(NamedTuple):
     """A field of a spec."""
 
     values: Values
-    help: str = ""  # what it does, as `--help` and docs have it; %s is put in by `option_help`
+    help: str = ""  # what it does, as `--help` and docs have it
     flag: str | None = None  # "--name METAVAR"; None: it has no flag
     default_help: str | None = None  # what the default does; None: the default says it itself
     group: str = ""  # of flags, and of the page's panels
@@ -219,13 +219,12 @@ def _color(value: Any, name: str, known: tuple[str, ...]) -> Any:
         color = numbers(value, name, 3)
         if min(color) >= 0.0 and max(color) <= 1.0:
             return color
-    if value == TRANSPARENT:
-        what = f"one of {', '.join(known)}, or three numbers in [0, 1]"
-        raise InputError(f"{name} must be a colour, {what}, got {value!r}")
-    raise InputError(f"{name} must be one of {', '.join(known)}, or three numbers in [0, 1], got {shown(value)}")
+    what = "a colour, one of" if value == TRANSPARENT else "one of"
+    raise InputError(f"{name} must be {what} {', '.join(known)}, or three numbers in [0, 1], got {shown(value)}")
 
 
-def _color_of(text: str) -> Any:
+def color_of(text: str) -> Any:
+    """A name, or three numbers between commas."""
     parts = text.split(",")
     return text if len(parts) == 1 else tuple(map(float, parts))
 
@@ -236,7 +235,7 @@ def color(*, transparent: bool = False) -> Values:
     unit = {"type": "number", "minimum": 0, "maximum": 1}
     three = {"type": "array", "items": unit, "minItems": 3, "maxItems": 3}
     schema = {"anyOf": [{"enum": list(known)}, three], "format": "color"}
-    return Values(functools.partial(_color, known=known), schema, _color_of)
+    return Values(functools.partial(_color, known=known), schema, color_of)
 
 
 def checked_text(value: Any, name: str) -> str:

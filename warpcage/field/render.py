@@ -16,20 +16,11 @@ from numpy.typing import ArrayLike
 from ..core.arrays import array_view, empty_array
 from ..core.checks import Decorated, checked_positive, require_type
 from ..core.devices import SpareMemory
-from ..core.names import TRANSPARENT
+from ..core.names import MAX_SUPERSAMPLING, TRANSPARENT
 from ..core.spec import Values, checkers, flag, option, options_of, positive, whole
 from ..errors import UseError
 from ..view.camera import Camera, tile_threads
-from ..view.frame import (
-    MAX_SUPERSAMPLING,
-    PART_NAMES,
-    Frame,
-    average_frame,
-    finer_camera,
-    is_transparent,
-    part_type,
-    view_background,
-)
+from ..view.frame import PART_NAMES, Frame, average_frame, finer_camera, is_transparent, part_type, view_background
 
 if TYPE_CHECKING:
     from typing_extensions import Self  # of the type checker

@@ -16,7 +16,7 @@ from ..core.arrays import HostCopy, array_view, as_given, empty_array
 from ..core.checks import checked_path, checked_whole, real_array, shown
 from ..core.devices import launch
 from ..core.files import atomic_path
-from ..core.names import BACKGROUNDS, TRANSPARENT
+from ..core.names import BACKGROUNDS, MAX_SUPERSAMPLING, TRANSPARENT
 from ..core.threads import device_turn
 from ..errors import InputError
 from ..kernels.view import pictures
@@ -44,9 +44,6 @@ _TYPES: dict[str, Any] = {"rgb": wp.vec3, "canonical": wp.vec3, "flow": wp.vec2,
 
 #: How files end that a frame is written to.
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npz")
-
-#: Most rays along each side of a pixel: the picture is rendered that many times wider and higher.
-MAX_SUPERSAMPLING = 8
 
 
 class Frame:

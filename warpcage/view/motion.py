@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.names import checked_choice
+from ..core.names import MAX_FRAMES, checked_choice
 from ..easings import Easing, eased_share
 from ..errors import InputError
 from ..package import lazy_exports
@@ -21,8 +21,6 @@ MAX_DENOMINATOR = 1001
 #: Rates of television are these by 1001/1000; decimals so near to one stand for it, as 23.976 and 23.98 for 24000/1001.
 TELEVISION, ROUNDED = (15, 24, 30, 48, 60, 120, 240), Fraction(1, 200)
 
-#: Most frames that a film may have.
-MAX_FRAMES = 1_000_000
 
 Time = TypeVar("Time", float, Fraction)
 

@@ -20,7 +20,7 @@ from ...cage.cage import Cage
 from ...cage.pose_file import DEFAULT_RATE, PoseFile, posed_cage
 from ...core.checks import checked_path, checked_positive, checked_whole, require_type, shown
 from ...core.files import PathLike
-from ...core.names import MOVE_HELP, checked_choice, counted
+from ...core.names import MAX_FRAMES, MOVE_HELP, checked_choice, counted
 from ...core.reports import Progress, report_progress, reports_progress
 from ...deform.deformer import Deformer
 from ...deform.poses import PoseLike
@@ -38,7 +38,6 @@ from ...view.exr import require_openexr
 from ...view.frame import Frame
 from ...view.motion import frame_rate, frame_times
 from ...view.pictures import picture_cuts
-from ..spec.film import MAX_FRAMES
 from .folder import checked_film_path, frame_path, make_folder
 from .motion import path_cameras
 from .moves import CameraMove, MovingCamera, camera_moves

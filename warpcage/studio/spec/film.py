@@ -7,7 +7,7 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
-from ...core.names import LOOPS, TRANSPARENT, shown
+from ...core.names import LOOPS, MAX_FRAMES, TRANSPARENT, shown
 from ...core.spec import Values, flag, fraction, number, one_of, option, whole
 from ...errors import InputError
 from .shot import PICTURE, ShotSpec
@@ -17,9 +17,6 @@ TIME, CAMERA = "time", "camera path"
 
 #: What a film may show of its frames.
 SHOWN = ("rgb", "alpha", "depth", "disparity", "masks")
-
-#: Most frames of a film: more than 11 hours at 24 a second.
-MAX_FRAMES = 1_000_000
 
 #: Moments that motion blur is the mean of, where their number is not given, and most of them.
 SUBFRAMES, MAX_SUBFRAMES = 8, 256

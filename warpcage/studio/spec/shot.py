@@ -7,7 +7,16 @@ from collections.abc import Callable
 from typing import Any
 
 from ...coordinate_kinds import COORDINATE_KINDS, names_where
-from ...core.names import BACKGROUNDS, COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, shown
+from ...core.names import (
+    BACKGROUNDS,
+    COORDINATES,
+    DENSITIES,
+    FIELD_COORDINATES,
+    MAX_SUPERSAMPLING,
+    SPLAT_MAPS,
+    TRANSPARENT,
+    shown,
+)
 from ...core.spec import (
     Values,
     color,
@@ -70,7 +79,7 @@ class ShotSpec:
     )
     supersampling: int | None = option(
         None,
-        whole(1, 8),
+        whole(1, MAX_SUPERSAMPLING),
         "rays along each side of a pixel, 1 to 8: more are smoother and slower",
         flag="--supersampling N",
         default_help="that of the field",

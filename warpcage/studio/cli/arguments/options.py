@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ....core.names import TRANSPARENT, shown
-from ....core.spec import Values, defaults_of, fraction, names_of, number, options_of, positive, whole
+from ....core.spec import Values, color_of, defaults_of, fraction, names_of, number, options_of, positive, whole
 from ....edits.spec import EditSpec
 from ....errors import InputError, MissingFileError, StateError
 from ....package import renamed_line
@@ -49,11 +49,8 @@ def _field_of_view(value: Any, name: str) -> float:
 
 def color(text: str) -> str | tuple[float, ...]:
     """A name, or numbers between commas. The library checks them."""
-    parts = text.split(",")
-    if len(parts) == 1:
-        return text
     try:
-        return tuple(float(part) for part in parts)
+        return color_of(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"must be a name or three numbers such as 0.2,0.3,0.4, got {text!r}") from None
 
