@@ -103,8 +103,8 @@ FAULTS = [
           "return values[max(index, 0)]", "return values[index]", "view films cage"),
     # scheduler and manifest
     Fault("one-try-more", "warpcage/studio/jobs/scheduler.py",
-          "if charged is not None and self._attempts.get(charged, 0) >= self.retries:",
-          "if charged is not None and self._attempts.get(charged, 0) > self.retries:", "jobs"),
+          "if charged is not None and self.attempts[charged] >= self.retries:",
+          "if charged is not None and self.attempts[charged] > self.retries:", "jobs"),
     Fault("lost-beside-death", "warpcage/studio/jobs/scheduler.py",
           "self._retries.extend((item, groups[item], \"\") for item in begun[:-1])", "pass", "jobs"),
     Fault("recalled-for-ever", "warpcage/studio/jobs/scheduler.py",

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import pathlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
 from ..coordinate_kinds import COORDINATE_KINDS, CoordinateKind, Coordinates
@@ -189,6 +190,15 @@ def error_line(error: object, limit: int | None = None, *, named: bool = False, 
     elif isinstance(error, KeyError):
         text = f"{text[:60] or repr('')} is missing"
     return text[:limit] or type(error).__name__
+
+
+@contextlib.contextmanager
+def named_errors(what: str) -> Iterator[None]:
+    """Put a name before what is wrong."""
+    try:
+        yield
+    except ValueError as error:
+        raise InputError(f"{what}: {error}") from error
 
 
 def picture_stem(name: str) -> str:

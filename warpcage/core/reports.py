@@ -115,6 +115,11 @@ def span_text(seconds: float) -> str:
     return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
 
+def say(line: str) -> None:
+    """Print a line of the program on stderr."""
+    print(f"warpcage: {line}", file=sys.stderr)
+
+
 def say_above_bar(line: str) -> None:
     """Print a warning on stderr, above a bar that may be shown."""
     from tqdm import tqdm

@@ -106,13 +106,6 @@ def options_json(spec: Any) -> dict[str, Any]:
     return {name: plain(value) for name, value, default in values if value != default}
 
 
-def spec_version(spec: Any) -> int:
-    """The first version of files that has all options of a spec that differ from their defaults."""
-    defaults = defaults_of(type(spec))
-    later = ((name, each.since) for name, each in options_of(type(spec)).items() if each.since > 1)
-    return max((since for name, since in later if getattr(spec, name) != defaults[name]), default=1)
-
-
 def schema(spec: type, only: Callable[[Option], Any] = lambda option: True) -> dict[str, Any]:
     """JSON Schema of a spec, with labels and groups for pages; only: which options it has."""
     properties = {}

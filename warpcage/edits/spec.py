@@ -77,10 +77,6 @@ def _encoder() -> Any:
 RANDOM = "random"
 
 
-def _pair(value: Any, name: str) -> list[float]:
-    return list(numbers(value, name, 2))
-
-
 def _modes(value: Any, name: str) -> list[str]:
     from ..cage.random_poses import POSE_MODES  # with NumPy
 
@@ -91,7 +87,7 @@ def _modes(value: Any, name: str) -> list[str]:
 
 _RANDOM: dict[str, Checker] = {
     **dict.fromkeys(("seed", "number"), whole(0).check),
-    **dict.fromkeys(("stretch", "reach"), _pair),
+    **dict.fromkeys(("stretch", "reach"), functools.partial(numbers, count=2)),
     "modes": _modes,
 }
 
@@ -233,11 +229,6 @@ class EditSpec:
     def to_json(self) -> dict[str, Any]:
         """The edit as JSON: what differs from the default; a width of 0 is the same as None."""
         return {name: value for name, value in options_json(self).items() if value != 0.0}
-
-    @property
-    def is_drawn(self) -> bool:
-        """Whether its pose is drawn at random."""
-        return isinstance(self.posed, dict)
 
     @property
     def rest(self) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import pathlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
@@ -30,6 +31,11 @@ _OBJECT: dict[str, Checker] = dict.fromkeys(("name", "field", "place", "hidden",
 _OPTIONS: dict[str, Checker] = dict.fromkeys(("coordinates", "resolution", "density", "store", "map"), anything)
 
 
+def is_stage(path: PathLike) -> bool:
+    """Whether a file is that of a stage, by its ending."""
+    return os.fspath(path).lower().endswith(STAGE_ENDING)
+
+
 def free_name(name: str, taken: Collection[str]) -> str:
     """A name that is not taken: the same, or with the first number from 2 that makes it one."""
     names = itertools.chain([name], (f"{name} {number}" for number in itertools.count(2)))
@@ -38,7 +44,7 @@ def free_name(name: str, taken: Collection[str]) -> str:
 
 def write_stage_file(path: pathlib.Path, objects: Iterable[Mapping[str, Any]]) -> None:
     """Write objects, as JSON has them, a line each, to be read and changed; whole or not at all."""
-    if not path.name.lower().endswith(STAGE_ENDING):
+    if not is_stage(path):
         raise InputError(f"a scene file ends in {STAGE_ENDING}, got {path.name!r}")
     lines = [json.dumps(scene_object) for scene_object in objects]
     if not lines:

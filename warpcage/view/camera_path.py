@@ -79,7 +79,7 @@ def camera_at(keys: Sequence[CameraKey], time: float, *, closed: bool = False) -
         if at == time or (time < at and key is ordered[0]) or (time > at and key is ordered[-1]):
             return key.camera
     distances = _target_distances(ordered)
-    frame = _frame(common_up([key.camera for key in ordered]))
+    frame = up_frame(common_up([key.camera for key in ordered]))
     points, angles, lenses = _track(ordered, distances, frame)
     point, (azimuth, elevation, roll, reach), (fx, fy, cx, cy) = (
         value_at(times, values, time, easings, closed=closed) for values in (points, angles, lenses)
@@ -144,7 +144,7 @@ def _target_distances(keys: Sequence[CameraKey]) -> np.ndarray | None:
     return distances if distances.min() > max(least, 0.0) else None
 
 
-def _frame(up: np.ndarray) -> np.ndarray:
+def up_frame(up: np.ndarray) -> np.ndarray:
     """(3, 3) columns: two directions across `up`, and `up`."""
     side = np.eye(3)[int(np.argmin(np.abs(up)))]
     across = np.cross(up, side)

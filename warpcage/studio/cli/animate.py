@@ -8,7 +8,6 @@ import hashlib
 import json
 import pathlib
 import shlex
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -16,9 +15,9 @@ import numpy as np
 
 from ...cage.pose_file import DEFAULT_RATE, PoseFile
 from ...core.files import check_parent, require_file
-from ...core.names import TRANSPARENT, counted
-from ...core.reports import bar
-from ...core.spec import defaults_of, options_of, plain
+from ...core.names import TRANSPARENT, counted, listed
+from ...core.reports import bar, say
+from ...core.spec import options_json, options_of, plain
 from ...edits.edits import MAX_CELLS
 from ...edits.place import PlaceFile
 from ...errors import InputError
@@ -32,10 +31,10 @@ from ..films.folder import checked_film_path
 from ..films.render import Look, require_voxels
 from ..films.session.exports import DEFAULT_SIZE, export_film, film_shot
 from ..films.session.exports import Film as SessionFilm
-from ..films.session.scene import read_fields, require_alone, view_camera
+from ..films.session.scene import read_fields, view_camera
 from ..films.session.session_file import read_session
 from ..films.session.timeline import document_at, frame_rate, frame_times
-from ..films.timeline import MovingScene, Timeline
+from ..films.timeline import MovingScene
 from ..films.video import checked_rate
 from ..jobs.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs
 from ..jobs.items import ID
@@ -90,19 +89,18 @@ def run_animate(args: argparse.Namespace) -> None:
             "--workers and --jobs render the field as its file has it: write it where its dataset is first, with "
             "warpcage bake --frame"
         )
-    keys: PoseFile | PlaceFile | None = None if deformation is None else deformation.film
-    if objects is not None and (keys is not None or deformation is None):  # poses without times keep to --frames
+    keys: PoseFile | PlaceFile | None = deformation.film
+    if objects is not None and (keys is not None or not deformation.edits):  # poses without times keep to --frames
         keys = objects.longest(keys)
     spec = _in_time(spec, keys, given)
-    points = shared.seen_points(args, field, deformation, objects)
-    timeline = Timeline(spec.frames, spec.fps, deformation, keys, spec.loop, spec.motion, spec.interpolation)
-    track, scene = camera_track(args, field, timeline, points), MovingScene(field, timeline, objects)
+    scene = MovingScene(field, spec, deformation, keys, objects)
+    track = camera_track(args, scene, shared.seen_points(args, field, deformation, objects))
     film = Film(spec.frames, track, scene, Look.of(spec), spec.shutter)
     cameras = film.cameras
     warn_of_edges(args, cameras[0], deformation)
     shared.set_lattice(args, cameras[0])
     spec = dataclasses.replace(spec, resolution=args.resolution)
-    if deformation is not None and (here or scaled):
+    if deformation.edits and (here or scaled):
         scene.render_by(shared.make_deformer(field, deformation, args))
 
     save_cameras(args, cameras, spec.fps)
@@ -110,10 +108,10 @@ def run_animate(args: argparse.Namespace) -> None:
     settings = _settings(args, spec, cameras, deformation) if needs_settings else {}
     if here:
         return _render(args, spec, film, scene, output, settings)
-    keys_of_items = dataclasses.replace(spec, disparity_scale=film.scale).item_keys(deformed=deformation is not None)
+    keys_of_items = dataclasses.replace(spec, disparity_scale=film.scale).item_keys(deformed=bool(deformation.edits))
     extra = {"film": {"frames": spec.frames, "fps": str(spec.fps)}}
-    edits = [] if deformation is None else deformation.edits
-    job, frames = FilmJob(args.field, keys_of_items | {"outputs": parts}, edits, extra), _described(film, timeline)
+    job = FilmJob(args.field, keys_of_items | {"outputs": parts}, deformation.edits, extra)
+    frames = _described(film, scene)
     if jobs is not None:
         return _write_job(jobs, job, frames, cameras[0])
     workers = {"workers": args.workers, "device": device, "quiet": args.quiet, "overwrite": spec.overwrite}
@@ -135,11 +133,11 @@ def _targets(args: argparse.Namespace, new: bool = True) -> tuple[pathlib.Path, 
     return output, jobs
 
 
-def _described(film: Film, timeline: Timeline) -> Iterator[FilmFrame]:
+def _described(film: Film, scene: MovingScene) -> Iterator[FilmFrame]:
     """The frames as items of a job describe them."""
 
     def poses(frame: float) -> list[np.ndarray | None]:
-        return [None if cage is None else cage.vertices for cage in timeline.cages(frame)]
+        return [None if cage is None else cage.vertices for cage in scene.cages(frame)]
 
     for index, camera in enumerate(film.cameras):
         taken = film.moments(index) if film.shutter is not None else []
@@ -165,18 +163,15 @@ def _render(
     args: argparse.Namespace, spec: FilmSpec, film: Film, scene: MovingScene, output: pathlib.Path, settings: dict
 ) -> None:
     """Render the film or the folder here."""
-    kept = 0
 
     def with_bar(numbers: Sequence[int]) -> Any:  # the bar ends before an error is printed
         done = film.count - len(numbers)
         return bar(film.count, "animate", done=done, shown=not args.quiet, iterable=numbers)
 
-    if output.suffix:
-        with with_bar(range(film.count)) as numbers:
-            film.write(output, spec.fps, loop=spec.loop != "once", numbers=numbers)
-    else:
-        settings |= {} if scene.objects is None else {"objects": scene.objects.fingerprints()}
-        kept = film.write_folder(output, settings, overwrite=spec.overwrite, reported=with_bar)
+    if settings and scene.objects is not None:
+        settings |= {"objects": scene.objects.fingerprints()}
+    options: dict[str, Any] = {"loop": spec.loop != "once", "overwrite": spec.overwrite}
+    kept = film.write(output, spec.fps, settings, **options, reported=with_bar)
     _print_written(film, scene, output, kept)
     warn_of_masks(film.mask_shares, "the film")
 
@@ -189,7 +184,7 @@ def _print_written(film: Film, scene: MovingScene, output: pathlib.Path, kept: i
     size = size_text(film.cameras[0].width, film.cameras[0].height, output)
     print(f"wrote {output}: {counted(film.count, 'frame')} of {size}, {output.stat().st_size / 1e6:.2f} MB")
     if film.count > 1 and film.stands and scene.is_still():
-        print(f"warpcage: nothing moves in this film: its {film.count} frames are equal", file=sys.stderr)
+        say(f"nothing moves in this film: its {film.count} frames are equal")
 
 
 def _write_job(path: pathlib.Path, job: FilmJob, frames: Iterable[FilmFrame], camera: Camera) -> None:
@@ -221,7 +216,9 @@ def _run_session(args: argparse.Namespace) -> None:
     document = read_session(args.session, field)
     fields = read_fields(document, field, pathlib.Path(args.session).resolve().parent)
     if jobs is not None:
-        require_alone(document, "--jobs")
+        if document.is_staged:
+            names = listed([one.name for one in document.objects])
+            raise InputError(f"--jobs goes with a field in its own place, and this session holds {names}")
         job, frames = _session_job(document, field, film, args.field, spec.scene_scale)
         return _write_job(jobs, job, frames, view_camera(document.view, width, height))
 
@@ -233,25 +230,23 @@ def _run_session(args: argparse.Namespace) -> None:
         count = export_film(document, fields, output, film, report)
     print(f"wrote {output}: {counted(count, 'frame')} of {size_text(width, height, output)}")
     if len(document.timeline.keys) < 2 and count > 1:
-        print(
-            f"warpcage: nothing moves in this film: its {count} frames are equal, as the session has no two keys (K "
-            "keeps one in the editor)",
-            file=sys.stderr,
+        say(
+            f"nothing moves in this film: its {count} frames are equal, as the session has no two keys (K "
+            "keeps one in the editor)"
         )
 
 
-def _settings(args: argparse.Namespace, spec: FilmSpec, cameras: list[Camera], deformation: Deformation | None) -> dict:
+def _settings(args: argparse.Namespace, spec: FilmSpec, cameras: list[Camera], deformation: Deformation) -> dict:
     """All that decides how frames look, so that a folder never mixes two films."""
-    defaults = defaults_of(FilmSpec)
-    values = {name: plain(getattr(spec, name)) for name in options_of(FilmSpec) if name != "overwrite"}
-    changed = {name: value for name, value in values.items() if value != plain(defaults[name])}
-    settings = {name: values.get(name, args.cage_up) for name in NAMED} | changed | {"format": spec.format or "png"}
+    changed = options_json(dataclasses.replace(spec, overwrite=False))
+    named = {name: plain(getattr(spec, name, args.cage_up)) for name in NAMED}
+    settings = named | changed | {"format": spec.format or "png"}
     settings |= {"resolution": spec.deformer_options(MAX_CELLS)["resolution"], "fill": spec.fill or None}
     settings |= {"fps": None if spec.loop is None else str(spec.fps)}
     settings["size"] = [cameras[0].width, cameras[0].height]
     settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()
     settings["field"] = hashlib.sha256(pathlib.Path(args.field).read_bytes()).hexdigest()
-    settings |= {"cage": [], "posed": []} if deformation is None else deformation.fingerprints()
+    settings |= deformation.fingerprints()
     return json.loads(json.dumps(settings))  # tuples as lists, as they come back from the file
 
 

@@ -7,30 +7,28 @@ import contextlib
 import dataclasses
 import functools
 import pathlib
-import sys
 from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
 
 from ...core.files import errors_of, read_json, seen_note
+from ...core.reports import say
 from ...errors import InputError
 from ...render.belonging import SceneViews
 from ...scene.formats.datasets.splatting import CAMERAS, is_output
 from ...scene.formats.datasets.splatting import NAME as SPLATTING
 from ...scene.load import holding_format, load_scene
 from ...splats.splat_field import AnyField
-from ...view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
+from ...view.camera import Camera, CameraFile, CameraKey, fitted
 from ...view.camera_file import camera_program
 from ..films.edits import Deformation
+from ..films.film import DEFAULT_SIZE
 from ..films.motion import cameras_along
 from ..films.moves import CameraMove, MovingCamera, camera_moves, within_sight
 from ..films.resolve import AssetResolver, file_and_name
-from ..films.timeline import SIDES, CameraTrack, Timeline, keyed_track, middle, moving_track
+from ..films.timeline import CameraTrack, MovingScene, keyed_track, middle, moving_track, side_camera
 from .arguments import options
-
-#: Width and height of a picture where none is given.
-DEFAULT_SIZE = (400, 400)
 
 #: An array of Warp holds as many.
 MAX_PIXELS = 2**31 - 1
@@ -38,7 +36,7 @@ MAX_PIXELS = 2**31 - 1
 
 def asset_resolver() -> AssetResolver:
     """What loads the files that a command names; prints what it reports."""
-    return AssetResolver(report=lambda message: print(f"warpcage: {message}", file=sys.stderr))
+    return AssetResolver(report=say)
 
 
 def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
@@ -64,8 +62,7 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
         return fitted_to(scene_camera(args, args.camera), args)
     width, height = size or DEFAULT_SIZE
     view = {"up": args.up, "fov_degrees": args.fov or options.FOV, "width": width, "height": height}
-    elevation, azimuth = SIDES[args.view or "corner"]
-    framed = framing_orbit(points, 1, elevation_degrees=elevation, start_degrees=azimuth, **view)[0]
+    framed = side_camera(points, args.view or "corner", **view)
     if args.eye is None and args.target is None:
         return framed
     if args.eye is not None and args.view is not None:
@@ -121,20 +118,16 @@ def save_cameras(args: argparse.Namespace, cameras: Sequence[Camera], fps: float
     CameraFile(keys, fps=None if fps is None else float(fps)).save(args.save_camera)
 
 
-def warn_of_edges(args: argparse.Namespace, camera: Camera, deformation: Deformation | None) -> None:
+def warn_of_edges(args: argparse.Namespace, camera: Camera, deformation: Deformation) -> None:
     """Say on stderr where a posed cage reaches out of a picture that is framed by the field at rest."""
     chosen = options.given(args, "frame", "camera", "eye", "target", "cameras")
-    if deformation is None or deformation.is_still or chosen:
+    if deformation.is_still or chosen:
         return
     posed = [cage.vertices for cage in deformation.posed if cage is not None]
     pixels, depth = camera.project(np.concatenate(posed or [np.zeros((0, 3))]))
     beyond = (pixels < 0.0) | (pixels > (camera.width, camera.height))
     if (beyond.any(axis=1) | (depth <= 0.0)).any():
-        print(
-            "warpcage: the cage reaches out of the picture, which is framed by the object at rest: --frame posed shows "
-            "all of it",
-            file=sys.stderr,
-        )
+        say("the cage reaches out of the picture, which is framed by the object at rest: --frame posed shows all of it")
 
 
 def chosen_target(args: argparse.Namespace, points: np.ndarray) -> np.ndarray:
@@ -147,7 +140,7 @@ def fitted_to(camera: Camera, args: argparse.Namespace) -> Camera:
     image_size(args)  # refuses others
     if args.size is None:
         return camera
-    if not args.size.is_shaped:
+    if args.size.height is None and args.size.shape is None:
         return fitted(camera, (args.size.width,))
     size = args.size.of(camera.width, camera.height)
     found = fitted(camera, size, widen=args.size.widen)
@@ -155,10 +148,9 @@ def fitted_to(camera: Camera, args: argparse.Namespace) -> Camera:
     if max(aside, above) > 1.5 and not getattr(args, "has_said_cut", False):
         args.has_said_cut = True
         cut = "left and right" if aside > above else "top and bottom"
-        print(
-            f"warpcage: {size[0]}x{size[1]} cuts the camera's {camera.width}x{camera.height} picture at {cut}: --size "
-            f"{size[0]}x{size[1]} widen shows all of it, and more at the other sides",
-            file=sys.stderr,
+        say(
+            f"{size[0]}x{size[1]} cuts the camera's {camera.width}x{camera.height} picture at {cut}: --size "
+            f"{size[0]}x{size[1]} widen shows all of it, and more at the other sides"
         )
     return found
 
@@ -252,54 +244,48 @@ def scene_camera(args: argparse.Namespace, text: str) -> Camera:
     return cameras[int(index)]
 
 
-def _say_pace(cameras: str, keys: Sequence[CameraKey], timeline: Timeline) -> None:
+def _say_pace(cameras: str, keys: Sequence[CameraKey], scene: MovingScene) -> None:
     """Say where keys of cameras at times are shown in another time, that of a film without times of its own."""
     last = max((key.time for key in keys if key.time is not None), default=0.0)
-    own = round(last * timeline.fps) + 1
-    if timeline.keys is None and last > 0.0 and abs(own - timeline.frames) > 1:
-        print(
-            f"warpcage: the cameras of {cameras} take {last:g} s, and are shown in "
-            f"{float(timeline.frames / timeline.fps):g} s: --frames {own} keeps their times",
-            file=sys.stderr,
+    spec, own = scene.spec, round(last * scene.spec.fps) + 1
+    if scene.keys is None and last > 0.0 and abs(own - spec.frames) > 1:
+        say(
+            f"the cameras of {cameras} take {last:g} s, and are shown in "
+            f"{float(spec.frames / spec.fps):g} s: --frames {own} keeps their times"
         )
 
 
-def camera_track(
-    args: argparse.Namespace,
-    field: AnyField,
-    timeline: Timeline,
-    points: np.ndarray,  # (n, 3) around what the film shows, world units
-) -> CameraTrack:
-    """The camera of a film; that of the film's keys where no option names another."""
+def camera_track(args: argparse.Namespace, scene: MovingScene, points: np.ndarray) -> CameraTrack:
+    """The camera of a film; that of the film's keys where no option names another.
+    points: (n, 3) around what the film shows, world units."""
     placed = options.given(args, "camera", "view", "eye", "target")
-    deformation = timeline.deformation
-    film = None if timeline.keys is None or deformation is None else deformation.camera_film
+    spec, deformation = scene.spec, scene.deformation
+    film = None if scene.keys is None else deformation.camera_film
     if film is not None and not placed and args.cameras is None and args.turn is None:
-        return lambda frames: [fitted_to(film.camera_at(timeline.time(frame)), args) for frame in frames]
+        return lambda frames: [fitted_to(film.camera_at(scene.time(frame)), args) for frame in frames]
     moves = None if args.cameras is None else camera_moves(args.cameras)
     if args.cameras is None or moves is not None:
         if moves is not None and args.turn is not None:
             raise InputError("--cameras turn:DEGREES says how far the camera turns: leave --turn and --full-turn out")
         turn = args.turn
-        if moves is None and turn is None and deformation is not None and deformation.film is not None:
+        if moves is None and turn is None and deformation.film is not None:
             turn = 0.0
-            print("warpcage: the camera stays, as the poses have times: --turn 360 turns it around", file=sys.stderr)
+            say("the camera stays, as the poses have times: --turn 360 turns it around")
         moves = moves or [CameraMove("turn", turn)]
         axis = np.asarray(args.up, np.float64)
         if np.linalg.norm(axis) == 0:
             raise InputError("--up must not be 0 0 0")
         camera, pivot = chosen_camera(args, points), chosen_target(args, points)
-        moving = MovingCamera(camera, pivot, axis / np.linalg.norm(axis), moves, timeline.frames, float(timeline.fps))
-        moving, notes = within_sight(moving, seen_cameras(args, field), anywhere=not placed)
+        moving = MovingCamera(camera, pivot, axis / np.linalg.norm(axis), moves, spec.frames, float(spec.fps))
+        moving, notes = within_sight(moving, seen_cameras(args, scene.field), anywhere=not placed)
         for note in notes:
-            print(f"warpcage: {note}", file=sys.stderr)
-        edits = [] if deformation is None else deformation.edits
-        return moving_track(moving, field, edits, timeline.cages, asset_resolver())
+            say(note)
+        return moving_track(moving, scene.field, deformation.edits, scene.cages, asset_resolver())
     if placed or options.given(args, "turn", "frame"):
         raise InputError("--cameras cannot be combined with --turn, --camera, --view, --frame, --eye or --target")
     if camera_file(args.cameras):
         keys = camera_keys(args, args.cameras)
-        _say_pace(args.cameras, keys, timeline)
-        return keyed_track(keys, timeline)
+        _say_pace(args.cameras, keys, scene)
+        return keyed_track(keys, spec.frames, None if scene.keys is None else scene.time)
     cameras = sized_cameras(args, args.cameras)
-    return lambda frames: cameras_along(cameras, timeline.frames, timeline.interpolation, frames)
+    return lambda frames: cameras_along(cameras, spec.frames, spec.interpolation, frames)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import pathlib
-import sys
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,8 @@ from ...core.checks import float32_spacing
 from ...core.files import atomic_path, require_file
 from ...core.memory import require_host_memory
 from ...core.names import counted
+from ...core.reports import say
 from ...deform.bake import bake
-from ...deform.deformer import Deformer
 from ...deform.stage import Stage
 from ...edits.maps import carried_points
 from ...errors import InputError
@@ -82,10 +81,13 @@ def run_bake(args: argparse.Namespace) -> None:
     if args.selection is not None:
         field = NodeSelection.load(args.selection, field).cut_out()
     deformation = read_deformation(args, field)
-    if deformation is not None:
+    if deformation.edits:
         deformer = shared.make_deformer(field, deformation, args).pose(deformation.posed)
         if args.frames is not None:
-            return _write_sequence(deformer, deformation, args)
+            poses = (deformation.at(place) for place in np.linspace(0.0, deformation.pose_count - 1.0, args.frames))
+            written = deformer.save_sequence(args.output, poses, overwrite=args.overwrite)
+            print(f"wrote {counted(len(written), 'file')}, {written[0]} to {written[-1]}")
+            return
         field = deformer.baked() if of_splats else bake(deformer, resolution=args.voxels)
     _write(field, output, args.format)
 
@@ -112,13 +114,6 @@ def _write(field: AnyField, output: pathlib.Path, format: str | None = None) -> 
         field.save(output, format=format or "warpcage")
         size = f"{counted(field.voxel_count, 'voxel')} in a grid of {'x'.join(map(str, field.resolution))}"
     print(f"wrote {output}: {size}, {output.stat().st_size / 1e6:.1f} MB")
-
-
-def _write_sequence(deformer: Deformer, deformation: Deformation, args: argparse.Namespace) -> None:
-    """Files of the poses from rest to the last one, evenly."""
-    places = np.linspace(0.0, deformation.pose_count - 1.0, args.frames)
-    written = deformer.save_sequence(args.output, (deformation.at(place) for place in places), overwrite=args.overwrite)
-    print(f"wrote {counted(len(written), 'file')}, {written[0]} to {written[-1]}")
 
 
 #: The tint of what went.
@@ -218,10 +213,9 @@ def run_mesh(args: argparse.Namespace) -> None:
             else:
                 mesh.export(temporary, file_type=ending[1:])
     if ending == ".stl" and _is_far(mesh):
-        print(
-            f"warpcage: warning: {output}: STL holds float32, which rounds places so far from the origin to "
-            f"{float32_spacing(float(np.abs(mesh.bounds).max())):.3g} units: the other formats keep them",
-            file=sys.stderr,
+        say(
+            f"warning: {output}: STL holds float32, which rounds places so far from the origin to "
+            f"{float32_spacing(float(np.abs(mesh.bounds).max())):.3g} units: the other formats keep them"
         )
     low, high = mesh.bounds
     print(
@@ -237,10 +231,10 @@ FRAME_BYTES = 4 * 24
 
 
 def _mesh_frames(
-    vertices: np.ndarray, deformation: Deformation | None, args: argparse.Namespace
+    vertices: np.ndarray, deformation: Deformation, args: argparse.Namespace
 ) -> tuple[np.ndarray | None, float]:
     """Where vertices go in each frame, (n, v, 3), one for a pose, and the rate; None where nothing is deformed."""
-    if deformation is None:
+    if not deformation.edits:
         return None, DEFAULT_RATE
     film, last = deformation.film, deformation.pose_count - 1.0
     rate = DEFAULT_RATE if film is None or film.fps is None else film.fps

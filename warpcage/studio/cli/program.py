@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import errno
+import functools
 import gc
 import importlib
 import os
@@ -279,7 +280,8 @@ def _run_command(argv: list[str] | None) -> int:
         quiet = getattr(arguments, "quiet", False)
         reports.show_log("info" if arguments.verbose and not quiet else reports.requested_level())
         watched = sys.stderr.isatty() and not quiet
-        reports.on_compiling = _report_compiling if watched else None
+        compiling = "compiling kernels, once on this machine, which may take a minute"
+        reports.on_compiling = functools.partial(reports.say, compiling) if watched else None
         with _reporting_folders(arguments, quiet), _early_workers(arguments):
             return _command(arguments.command)(arguments) or 0
 
@@ -298,7 +300,7 @@ def _reporting_folders(arguments: argparse.Namespace, quiet: bool) -> Iterator[N
         raise
     for folder in missing:
         if os.path.isdir(folder) and not quiet:
-            print(f"warpcage: made folder {folder}", file=sys.stderr)
+            reports.say(f"made folder {folder}")
 
 
 def _missing(folder: str) -> list[str]:
@@ -333,16 +335,11 @@ def _command(name: str) -> Callable[[argparse.Namespace], int | None]:
             gc.enable()
 
 
-def _report_compiling() -> None:
-    """Explain the wait to who watches a terminal."""
-    print("warpcage: compiling kernels, once on this machine, which may take a minute", file=sys.stderr)
-
-
 def _said(what: str, status: int) -> int:
-    print(f"warpcage: {what}", file=sys.stderr)
+    reports.say(what)
     return status
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):
     """Print a warning as one line, without the place in the source."""
-    print(f"warpcage: warning: {_line(message)}", file=sys.stderr)
+    reports.say(f"warning: {_line(message)}")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import pathlib
-import sys
 from collections.abc import Sequence
 
 from ...cage.cage import Cage
 from ...core.files import check_parent
-from ...core.names import TRANSPARENT, counted
+from ...core.names import TRANSPARENT, counted, named_errors
+from ...core.reports import say
 from ...edits.stage_file import STAGE_ENDING
 from ...errors import InputError
 from ...view import frame_parts
@@ -56,7 +56,7 @@ def warn_of_masks(shares: dict[str, float], where: str = "the picture") -> None:
     """Print a line on stderr for each mask that marks anything; where: how the line calls the picture."""
     for name, share in shares.items():
         if share > 0:
-            print(f"warpcage: warning: {100 * share:.2f} % of {where} {MASKS[name][1]}", file=sys.stderr)
+            say(f"warning: {100 * share:.2f} % of {where} {MASKS[name][1]}")
 
 
 #: Frames per second of films.
@@ -78,13 +78,13 @@ def _posed_film(
     args: argparse.Namespace,
     cameras: Sequence[Camera],
     field: shared.AnyField,
-    deformation: Deformation | None,
+    deformation: Deformation,
     objects: Objects | None,
 ) -> Film:
     """What cameras see of the scene in its last pose; where nothing moves, of the field itself."""
     shared.set_lattice(args, cameras[0])
-    renderer, cages = field, [] if deformation is None else [cage for cage in deformation.posed if cage is not None]
-    if deformation is not None and not deformation.is_still:
+    renderer, cages = field, [cage for cage in deformation.posed if cage is not None]
+    if not deformation.is_still:
         renderer = shared.make_deformer(field, deformation, args).pose(deformation.posed)
         cages = drawn_cages(renderer)
     return _film(args, cameras, lambda frame: (renderer if objects is None else objects.with_main(renderer), cages))
@@ -143,7 +143,6 @@ def _run_many_poses(args: argparse.Namespace) -> None:
         raise InputError(f"--{given[0]} is for one picture: give the name of a picture with -o")
     check_target(args, folder)
     field, deformation, objects = shared.read_shot(args, shared.edit_reader(args, "linear"))
-    assert deformation is not None
     camera = chosen_camera(args, shared.seen_points(args, field, deformation, objects))
     shared.set_lattice(args, camera)
     deformer = shared.make_deformer(field, deformation, args)
@@ -151,10 +150,8 @@ def _run_many_poses(args: argparse.Namespace) -> None:
 
     def moment(index: float) -> tuple[Scene, list[Cage]]:
         number = int(index) + 1
-        try:
+        with named_errors(f"pose {number} of {count}"):
             deformer.pose(deformation.at(float(min(number, deformation.pose_count - 1))))
-        except ValueError as error:
-            raise InputError(f"pose {number} of {count}: {error}") from error
         return deformer if objects is None else objects.with_main(deformer), drawn_cages(deformer)
 
     digits, ending = max(4, len(str(count))), args.format or "png"
@@ -194,10 +191,9 @@ def run_render(args: argparse.Namespace) -> None:
     save_cameras(args, [camera])
     if not (frame.alpha > 0.0).any():
         places = " to ".join(str(corner.round(3).tolist()) for corner in field.bounds)
-        print(
-            f"warpcage: warning: nothing is in the picture: the camera at {camera.center.round(3).tolist()} does "
-            f"not look at the field, which reaches from {places}",
-            file=sys.stderr,
+        say(
+            f"warning: nothing is in the picture: the camera at {camera.center.round(3).tolist()} does "
+            f"not look at the field, which reaches from {places}"
         )
     if args.save_stage is not None and objects is not None:
         objects.stage.save(args.save_stage)

@@ -7,7 +7,6 @@ import contextlib
 import dataclasses
 import pathlib
 import re
-import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -19,7 +18,7 @@ from ...coordinate_kinds import COORDINATE_KINDS, names_where
 from ...core.arrays import box_corners
 from ...core.names import BACKGROUNDS, TRANSPARENT, counted
 from ...core.npz import NpyFile
-from ...core.reports import bar, say_above_bar, span_text
+from ...core.reports import bar, say, say_above_bar, span_text
 from ...core.threads import cpu_threads
 from ...errors import InputError
 from ...scene.formats.transforms import TransformsCameras
@@ -94,15 +93,15 @@ def _conclude(report: RunReport, output: str) -> int:
     rate = f", {report.made / report.seconds:.3g} a second" if report.made and report.seconds else ""
     print(f"wrote {output}: {counted(report.made, 'item')}{rate}, {report.kept} were there already")
     for name, line in list(report.failed.items())[:MAX_LINES]:
-        print(f"warpcage: {name}: {line}", file=sys.stderr)
+        say(f"{name}: {line}")
     if len(report.failed) > MAX_LINES:
         more = len(report.failed) - MAX_LINES
-        print(f"warpcage: and {more} more, see {output}/manifest.jsonl", file=sys.stderr)
+        say(f"and {more} more, see {output}/manifest.jsonl")
     if report.failed:
-        print(f"warpcage: error: {counted(len(report.failed), 'item')} failed", file=sys.stderr)
+        say(f"error: {counted(len(report.failed), 'item')} failed")
     if report.halt is not None:
         left = f"{counted(report.left, 'item')} left: the same command makes them once there is room"
-        print(f"warpcage: error: {report.halt}; {left}", file=sys.stderr)
+        say(f"error: {report.halt}; {left}")
     return 0 if report.complete else 1
 
 
@@ -125,10 +124,10 @@ def _print_forecast(forecast: Forecast) -> int:
         print(forecast.unpaid)
     wrong = forecast.errors | forecast.missing
     for name, line in wrong.items():
-        print(f"warpcage: {name}: {line}", file=sys.stderr)
+        say(f"{name}: {line}")
     if forecast.missing_count:
         count = counted(forecast.missing_count, "item")
-        print(f"warpcage: error: files that {count} would read are missing", file=sys.stderr)
+        say(f"error: files that {count} would read are missing")
     return 1 if wrong else 0
 
 

@@ -6,7 +6,6 @@ import argparse
 import functools
 import pathlib
 import re
-import sys
 from fractions import Fraction
 from typing import Any
 
@@ -19,13 +18,14 @@ from ...core.checks import warn_renamed
 from ...core.devices import resolve_device
 from ...core.files import PathLike, require_file
 from ...core.names import TRANSPARENT
+from ...core.reports import say
 from ...core.spec import options_of
 from ...deform.deformer import Deformer
 from ...deform.stage import Stage
 from ...edits.edits import MAX_CELLS, picture_cells
 from ...edits.place import Place
 from ...edits.spec import EditSpec
-from ...edits.stage_file import STAGE_ENDING, free_name
+from ...edits.stage_file import free_name, is_stage
 from ...errors import InputError
 from ...mesh.io import ENDINGS
 from ...mesh.queries import inside_mesh
@@ -57,9 +57,9 @@ def edit_reader(
     return EditReader(asset_resolver(), interpolation, defaults, posed_up(args), timed, fps)
 
 
-def read_deformation(args: argparse.Namespace, field: AnyField, reader: EditReader | None = None) -> Deformation | None:
-    """The deformation that a command's options name, None where nothing is deformed; the field gives the axes of cage
-    files. reader: None takes one pose an edit."""
+def read_deformation(args: argparse.Namespace, field: AnyField, reader: EditReader | None = None) -> Deformation:
+    """The deformation that a command's options name; the field gives the axes of cage files.
+    reader: None takes one pose an edit."""
     reader = reader or edit_reader(args)
     ways = options.given(args, "cage", "edit", "edits")
     if len(ways) > 1:
@@ -75,8 +75,7 @@ def read_deformation(args: argparse.Namespace, field: AnyField, reader: EditRead
         return Deformation([reader.edit(EditSpec(args.cage, texts[0]), texts, field)])
     if args.edits is not None:
         return edits_of_file(args.edits, reader, field)
-    specs = [parse_edit(text) for text in args.edit or ()]
-    return reader.edits(specs, field) if specs else None
+    return reader.edits([parse_edit(text) for text in args.edit or ()], field)
 
 
 def edits_of_file(path: str, reader: EditReader, field: AnyField) -> Deformation:
@@ -200,9 +199,7 @@ def in_world_of_scene(
             if not likeness(field, views.glimpses, motion).is_doubtful:
                 return _moved(args, field, path, frame, motion)
             reason += f", nor does {path}"
-    print(
-        f"warpcage: warning: {args.field} and the cameras of {folder} do not belong together: {reason}", file=sys.stderr
-    )
+    say(f"warning: {args.field} and the cameras of {folder} do not belong together: {reason}")
     return field
 
 
@@ -212,10 +209,9 @@ def _moved(
     """A field taken out of nerfstudio's frame, which is reported; sets `args.is_moved` and `args.frame_motion`."""
     moved = moved_field(field, motion)
     args.is_moved, args.frame_motion = True, motion  # camera paths of nerfstudio go along
-    print(
-        f"warpcage: {args.field} is moved out of nerfstudio's coordinates by {path}: {1.0 / frame.scale:.4g} times as "
-        "large, turned and moved to where its dataset is",
-        file=sys.stderr,
+    say(
+        f"{args.field} is moved out of nerfstudio's coordinates by {path}: {1.0 / frame.scale:.4g} times as "
+        "large, turned and moved to where its dataset is"
     )
     return moved
 
@@ -229,11 +225,6 @@ def read_scene(args: argparse.Namespace, background: str | ArrayLike, orient: st
 def is_field(path: str) -> bool:
     """Whether a file is a field: voxels (.npz) or splats."""
     return path.lower().endswith(".npz") or is_splat_file(path)
-
-
-def is_stage(path: str) -> bool:
-    """Whether a file is that of a stage, by its ending."""
-    return path.lower().endswith(STAGE_ENDING)
 
 
 def scene_masks(path: str, field: AnyField) -> dict[str, Any]:
@@ -266,13 +257,13 @@ FRAMED_POINTS, MIN_STAYING = 5000, 0.005
 
 
 def seen_points(
-    args: argparse.Namespace, field: AnyField, deformation: Deformation | None, objects: Objects | None
+    args: argparse.Namespace, field: AnyField, deformation: Deformation, objects: Objects | None
 ) -> np.ndarray:
     """(n, 3) points around what a picture shows, world units: with --frame posed the vertices of the cages, at rest and
     posed, and what lies in none of them and stays; else the corners of the field's box. With those of other objects."""
     # Usually the field at rest, so that pictures before and after an edit, and of all its poses, can be compared.
     points = shown_corners(field)
-    if deformation is not None and args.frame == "posed":
+    if deformation.edits and args.frame == "posed":
         seen = staying = object_points(field, FRAMED_POINTS)
         for edit in deformation.edits:
             staying = staying[~inside_mesh(staying, edit.cage)]
@@ -304,8 +295,8 @@ def shot_of(args: argparse.Namespace) -> FilmSpec:
 
 def read_shot(
     args: argparse.Namespace, reader: EditReader | None = None, *, of_voxels: str = ""
-) -> tuple[AnyField, Deformation | None, Objects | None]:
-    """The field of a command, its deformation, and the scene of several objects that they stand in; None: no such.
+) -> tuple[AnyField, Deformation, Objects | None]:
+    """The field of a command, its deformation, and the scene of several objects that they stand in; None: it is alone.
     reader: None takes one pose an edit; of_voxels: an option of the command that needs a field of voxels."""
     shot_of(args).check()
     if args.fill and (args.add or is_stage(args.field)):
@@ -313,7 +304,7 @@ def read_shot(
     for option in ("--overlay" if args.overlay else "", of_voxels, "--fill" if args.fill else ""):
         if option:
             require_deformation(args, option)
-    reader, stage, deformation, moving = reader or edit_reader(args), None, None, []
+    reader, stage, deformation, moving = reader or edit_reader(args), None, Deformation(), []
     if of_file := is_stage(args.field):
         stage = _read_stage(args)
         field: Any = next(iter(stage.items.values())).field  # a mesh is shown as the stage has it

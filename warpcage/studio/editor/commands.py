@@ -13,7 +13,7 @@ from ...cage import poses
 from ...cage.cage import Cage
 from ...coordinates.coordinates import deform_points
 from ...core.checks import AXES, checked_flag, checked_number, checked_whole
-from ...core.names import checked_choice
+from ...core.names import checked_choice, named_errors
 from ...edits.edits import MAX_EDITS
 from ...errors import InputError
 from ..films.checks import (
@@ -194,8 +194,8 @@ def mirror_edit(document: Document, message: Message) -> Step:
         else key
         for key in document.timeline.keys
     ]
-    kept = {"visible": edit.visible, "falloff": edit.falloff, "held": edit.held, "fragments": edit.fragments}
-    fresh = dataclasses.replace(document.edits[-1], posed=mirrored(edit.posed), **kept)
+    fresh, posed = document.edits[-1], mirrored(edit.posed)
+    fresh = dataclasses.replace(edit, id=number, name=fresh.name, faces=fresh.faces, rest=fresh.rest, posed=posed)
     return "mirror an edit", document.with_edit(fresh).with_timeline(keys=tuple(keys))
 
 
@@ -223,7 +223,7 @@ def delete_edit(document: Document, message: Message) -> Step:
         others = [edit.id for edit in edits if edit.object_id == gone.object_id]
         selection = Selection(others[-1] if others else None, selection.mode, object_id=gone.object_id)
     document = dataclasses.replace(document, edits=edits, selection=selection)
-    return f"delete {gone.name}", _with_key_poses(document, gone.id, lambda pose: None)
+    return f"delete {gone.name}", document.with_key_poses(gone.id, lambda pose: None)
 
 
 def change_edit(document: Document, message: Message) -> Step:
@@ -279,10 +279,8 @@ def replace_cage(document: Document, number: int, cage: Cage, label: str) -> Ste
     def posed(pose: np.ndarray) -> np.ndarray:
         if np.array_equal(pose, edit.rest):
             return cage.vertices
-        try:
+        with named_errors("the pose cannot be carried over to the new cage"):
             return np.asarray(deform_points(cage.vertices, edit.rest_cage, Cage(pose, edit.faces), device="cpu"))
-        except ValueError as error:
-            raise InputError(f"the pose cannot be carried over to the new cage: {error}") from None
 
     return label, _with_cage(document, edit, cage, posed)
 
@@ -299,7 +297,7 @@ def moved_rest(document: Document, before: Edit, rest: Any) -> Document:
 def moved_keys(document: Document, before: Edit) -> Document:
     """A document whose keys keep their distance from a cage at rest that was moved since `before`."""
     offset = document.edit(before.id).rest - before.rest
-    return _with_key_poses(document, before.id, lambda pose: frozen_vertices(pose + offset))
+    return document.with_key_poses(before.id, lambda pose: frozen_vertices(pose + offset))
 
 
 # -- Film
@@ -393,26 +391,12 @@ def run_command(document: Document, message: Message) -> Step:
 def _with_cage(document: Document, edit: Edit, cage: Cage, posed: Callable[[np.ndarray], np.ndarray]) -> Document:
     """The document with another cage for an edit; posed: carries vertices of a pose over."""
     fresh = new_edit(edit.id, cage, edit.name, edit.kind, posed(edit.posed))
-    kept = {name: getattr(edit, name) for name in ("visible", "falloff", "held", "fragments", "object_id")}
-    document = document.with_edit(dataclasses.replace(fresh, **kept))
-    document = _with_key_poses(document, edit.id, lambda pose: frozen_vertices(posed(pose), len(cage.vertices)))
+    changed = dataclasses.replace(edit, faces=fresh.faces, rest=fresh.rest, posed=fresh.posed)
+    document = document.with_edit(changed)
+    document = document.with_key_poses(edit.id, lambda pose: frozen_vertices(posed(pose), len(cage.vertices)))
     if document.selection.edit == edit.id:
         document = dataclasses.replace(document, selection=dataclasses.replace(document.selection, vertices=()))
     return document
-
-
-def _with_key_poses(document: Document, number: int, change: Callable[[np.ndarray], np.ndarray | None]) -> Document:
-    """The document with the poses of one edit changed in all keys; None takes them out."""
-    keys = []
-    for key in document.timeline.keys:
-        if key.poses is not None and number in key.poses:
-            left = {other: pose for other, pose in key.poses.items() if other != number}
-            changed = change(key.poses[number])
-            held = left if changed is None else {**left, number: changed}
-            key = dataclasses.replace(key, poses=held or None)
-        if not key.is_empty:
-            keys.append(key)
-    return document.with_timeline(keys=tuple(keys))
 
 
 def _called(key: Key) -> str:

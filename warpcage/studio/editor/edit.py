@@ -17,6 +17,7 @@ from ...cage.cage import Cage
 from ...core.checks import checked_whole, require_type
 from ...core.files import PathLike
 from ...core.names import extra_line
+from ...edits.stage_file import is_stage
 from ...errors import InputError, MissingPackageError
 from ...field.voxel_field import VoxelField
 from ...render.surface_mesh import load_object
@@ -24,7 +25,7 @@ from ...splats.splat_field import AnyField, SplatField, load_field
 from ..films.document import Document
 from ..films.session.scene import read_fields
 from ..films.session.session_file import file_stamp, object_name, read_kept, session_path
-from .objects import is_stage, stage_field, with_stage
+from .objects import stage_field, with_stage
 from .session import Session, new_document, view_of_box
 from .steps.history import read_history
 

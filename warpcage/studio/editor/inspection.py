@@ -22,7 +22,7 @@ from ...mesh.validity import first_problem
 from ...render.surface_mesh import AnyObject, SurfaceMesh
 from ...select.selection import visible_mask
 from ..films.checks import MAX_LINE
-from ..films.document import Document, Edit
+from ..films.document import Document, Edit, same
 from .session import Session
 
 #: About how many samples of the map are taken in a posed cage, and of the visible nodes for the share inside: fewer
@@ -234,7 +234,7 @@ class Checker:
         self._timer = None
         if self._task is not None or self._busy():
             self.plan()
-        elif not _same(self._known, _seen(self._session.document)):
+        elif not same(self._known, _seen(self._session.document)):
             self._task = asyncio.create_task(self._check())
 
     async def _check(self) -> None:
@@ -248,7 +248,7 @@ class Checker:
                 self.section = {**before, "edit": number, "pending": True}
                 self._notify()
                 found = await asyncio.get_running_loop().run_in_executor(None, self._look, document, number)
-            if _same(_seen(document), _seen(self._session.document)):  # otherwise another check is on its way
+            if same(_seen(document), _seen(self._session.document)):  # otherwise another check is on its way
                 self.section, self._known = found, _seen(document)
                 self._notify()
         finally:
@@ -269,7 +269,3 @@ class Checker:
 def _seen(document: Document) -> tuple[object, ...]:
     """What a check looks at."""
     return document.edits, document.selection.edit, document.settings.mode
-
-
-def _same(one: tuple[object, ...], two: tuple[object, ...]) -> bool:
-    return bool(one) and one[0] is two[0] and one[1:] == two[1:]

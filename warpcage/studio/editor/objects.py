@@ -18,14 +18,14 @@ from ...core.names import Easing, counted
 from ...deform.stage import Stage
 from ...edits.edits import CageEdit
 from ...edits.place import Place, PlaceFile, near_turn, seen_from
-from ...edits.stage_file import STAGE_ENDING, free_name, read_deformation, read_stage_file
+from ...edits.stage_file import STAGE_ENDING, free_name, is_stage, read_deformation, read_stage_file
 from ...errors import InputError
 from ...render.surface_file import SURFACE_ENDINGS
 from ...render.surface_mesh import AnyObject, SurfaceMesh, is_mesh_file, load_object
+from ...scene.scene import rotation_to
 from ...select.objects import select_object
 from ...select.selection import NodeSelection
 from ...splats.io import is_splat_file
-from ...view.motion import axis_rotation
 from ..films.checks import MAX_KEYS, MAX_OBJECTS, changed_names, checked_click, checked_name, checked_triple
 from ..films.document import MAIN, Document, Edit, Key, Message, SceneObject, Selection, Step, checked_place, new_edit
 from ..films.session.scene import Fields, PosedScene, clicked_pixel
@@ -177,9 +177,9 @@ def field_files(folder: pathlib.Path) -> list[str]:
 def place_beside(document: Document, fields: Fields, field: AnyObject) -> Place:
     """Where a field stands upright on the ground of all objects, beside them."""
     up, own = np.asarray(fields.main.up, np.float64), np.asarray(field.up, np.float64)
-    matrix = np.eye(4)
-    matrix[:3, :3] = _rotation_onto(own / np.linalg.norm(own), up / np.linalg.norm(up))
-    box = Place.from_matrix(matrix).moved(box_corners(field.bounds))
+    turn = rotation_to(own / np.linalg.norm(own), up / np.linalg.norm(up))
+    upright = Place() if turn is None else Place.from_matrix(turn)
+    box = upright.moved(box_corners(field.bounds))
     there = box_corners(fields.bounds(document))
     side = np.eye(3)[0 if abs(up[0]) < 0.9 * np.linalg.norm(up) else 1]
     side = side - up * (side @ up) / (up @ up)
@@ -189,20 +189,7 @@ def place_beside(document: Document, fields: Fields, field: AnyObject) -> Place:
     move += up * ((there @ up).min() - (box @ up).min()) / (up @ up)
     across = np.cross(up, side) / np.linalg.norm(up)
     move += across * ((there @ across).mean() - (box @ across).mean())
-    return dataclasses.replace(Place.from_matrix(matrix), position=move)
-
-
-def _rotation_onto(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) that takes a unit vector (3,) to another by the shorter way."""
-    axis, cosine = np.cross(one, other), float(np.clip(one @ other, -1.0, 1.0))
-    if np.linalg.norm(axis) < 1e-9:  # alike, or opposite: about any axis across
-        axis = np.cross(one, np.eye(3)[int(np.argmin(np.abs(one)))])
-    return axis_rotation(axis / np.linalg.norm(axis), float(np.arccos(cosine)))
-
-
-def is_stage(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is that of a stage, by its ending."""
-    return os.fspath(path).lower().endswith(STAGE_ENDING)
+    return dataclasses.replace(upright, position=move)
 
 
 def stage_field(path: pathlib.Path) -> pathlib.Path:

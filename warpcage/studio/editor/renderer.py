@@ -29,7 +29,7 @@ from ...view.frame import Frame
 from ...view.frame_parts import mask_shares, picture
 from ..films.document import Document
 from ..films.render import Look
-from ..films.session.scene import HIDING_ALPHA, Fields, PosedScene, same_pose, view_camera
+from ..films.session.scene import HIDING_ALPHA, Fields, PosedScene, is_filled, same_pose, view_camera
 from ..spec.settings import Background
 
 #: Seconds that a picture may take during a drag, on a CPU and on CUDA.
@@ -92,10 +92,6 @@ class Pace:
             return FIRST_POSE * cells**2.5 * (2.0 if coordinate_kind(coordinates).is_closed_form else 1.0)
         _, near, seconds = min(known)
         return seconds * (cells / near) ** 2.5
-
-    def sharp(self, width: int, height: int, cells: int, supersampling: int) -> Effort:
-        """The picture that the settings ask for."""
-        return Effort(width, height, cells, 1.0, supersampling, SHARP_QUALITY, True)
 
     def sharp_seconds(self, effort: Effort, coordinates: str) -> float:
         """What a sharp picture is thought to take."""
@@ -222,6 +218,12 @@ class Request:
 Answer = TypeVar("Answer")
 
 
+def _sharp_effort(request: Request) -> Effort:
+    """The picture that the settings ask for."""
+    settings = request.document.settings
+    return Effort(request.width, request.height, settings.resolution, 1.0, settings.supersampling, SHARP_QUALITY, True)
+
+
 class Superseded(Exception):
     """A newer picture is wanted."""
 
@@ -288,19 +290,19 @@ class Renderer:
                 assert rough is not None
                 request, sharp = rough, True
             else:
-                sharp = not request.moving and self._sharp_seconds(request) < 0.1
+                coordinates = request.document.settings.coordinates
+                sharp = not request.moving and self.pace.sharp_seconds(_sharp_effort(request), coordinates) < 0.1
             rough = None if sharp else request
             try:
                 self.show(request, sharp)
             except Superseded:
                 rough = None  # the newer request comes next
-            except EXPECTED as error:
+            except Exception as error:
                 rough = None
-                self._complain(request, error)
-            except Exception as error:  # a mistake of ours, or a kernel that cannot be built: the next one may do
-                rough = None
-                _log.exception("a picture could not be made")
-                self._complain(request, error)
+                if not isinstance(error, EXPECTED):  # a mistake of ours, or a kernel that cannot be built
+                    _log.exception("a picture could not be made")
+                text = " ".join(str(error).split()) or type(error).__name__
+                self._send(request, {"sharp": False, "error": text}, None, 0, time.perf_counter())
 
     def _next(self, timeout: float | None) -> Request | None:
         """The newest request, once there is one and questions are answered; None when the time is over."""
@@ -320,18 +322,11 @@ class Renderer:
         settings = request.document.settings
         return max(REST_SECONDS, self.pace.pose_seconds(settings.coordinates, settings.resolution))
 
-    def _sharp_seconds(self, request: Request) -> float:
-        return self.pace.sharp_seconds(self._sharp_effort(request), request.document.settings.coordinates)
-
-    def _sharp_effort(self, request: Request) -> Effort:
-        settings = request.document.settings
-        return self.pace.sharp(request.width, request.height, settings.resolution, settings.supersampling)
-
     def show(self, request: Request, sharp: bool) -> None:
         """Render a picture and deliver it, in the renderer's thread."""
         settings = request.document.settings
         if sharp:
-            effort = self._sharp_effort(request)
+            effort = _sharp_effort(request)
         else:
             posing = self._held is None or not same_pose(self._held[0], request.document)
             effort = self.pace.moving(request.width, request.height, settings.resolution, settings.coordinates, posing)
@@ -347,15 +342,10 @@ class Renderer:
         pixels, shares = self._pixels(request, effort)
         done = time.perf_counter()
         self.pace.learn(effort, settings.coordinates, posed - started if fresh else None, done - posed)
-        self.frames += 1
         self._times = [when for when in self._times if done - when < 1.0] + [done]
-        view = request.document.view
         header = {
-            "frame": self.frames,
-            "applied": {str(client): number for client, number in request.applied.items()},
             "width": effort.width,
             "height": effort.height,
-            "view": dataclasses.asdict(view),
             "objects": [one.id for one in request.document.objects],
             "sharp": effort.sharp,
             "scale": effort.width / request.width,
@@ -368,7 +358,7 @@ class Renderer:
             "fps": len(self._times),
             "error": None,
         }
-        self._send(header, pixels, effort.quality, started)
+        self._send(request, header, pixels, effort.quality, started)
 
     def _warm_up(self, document: Document, effort: Effort) -> None:
         """Load the kernels of a kind of coordinates before anything is timed: the first time they are compiled."""
@@ -390,7 +380,7 @@ class Renderer:
         rows = effort.height
         # a band of splats takes about as long as all of the picture, and filling needs the whole picture
         voxels = all(isinstance(self._fields.field(one), VoxelField) for one in document.objects if one.visible)
-        banded = voxels and not self._fills(document)
+        banded = voxels and not is_filled(document, self._field)
         if effort.sharp and self._field.device.is_cpu and banded:
             seconds = self.pace.sharp_seconds(effort, document.settings.coordinates)
             rows = max(8, math.ceil(effort.height / max(1.0, seconds / BAND_SECONDS)))
@@ -417,14 +407,9 @@ class Renderer:
         fields = [self._fields.field(one) for one in document.objects if one.visible]
         if background is None and all(field.background_model is None for field in fields):
             background = request.ground
-        fill = effort.sharp and self._fills(document)
+        fill = effort.sharp and is_filled(document, self._field)
         chosen = {"background": background, "supersampling": effort.supersampling, "step_scale": effort.step}
         return self._scene.render(seen, Look.of(document.settings, **chosen, fill=fill))
-
-    def _fills(self, document: Document) -> bool:
-        """Whether background is filled in sharp pictures of a document."""
-        settings, around = document.settings, self._field.background_model
-        return settings.fill and settings.background is None and around is not None and not document.is_staged
 
     def _depth_range(self, document: Document) -> tuple[float, float]:
         """Distances between which matter is expected, world units."""
@@ -433,21 +418,13 @@ class Renderer:
         reach = 2.0 * float(np.linalg.norm(high - low))
         return max(distance - reach, 1e-3 * (distance + reach)), distance + reach
 
-    def _complain(self, request: Request, error: Exception) -> None:
-        """Tell pages why there is no picture."""
-        self.frames += 1
-        text = " ".join(str(error).split()) or type(error).__name__
-        header = {
-            "frame": self.frames,
-            "applied": {str(client): number for client, number in request.applied.items()},
-            "view": dataclasses.asdict(request.document.view),
-            "sharp": False,
-            "error": text,
-        }
-        self._send(header, None, 0, time.perf_counter())
-
-    def _send(self, header: dict[str, Any], pixels: Pixels | None, quality: int, started: float) -> None:
+    def _send(
+        self, request: Request, header: dict[str, Any], pixels: Pixels | None, quality: int, started: float
+    ) -> None:
         """Encode and deliver in another thread, while the next picture is made. One waits at most."""
+        self.frames += 1
+        applied = {str(client): number for client, number in request.applied.items()}
+        header |= {"frame": self.frames, "applied": applied, "view": dataclasses.asdict(request.document.view)}
         if self._sent is not None and (error := self._sent.exception()) is not None:
             _log.error("a picture could not be sent", exc_info=error)
 

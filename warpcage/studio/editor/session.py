@@ -19,7 +19,6 @@ from ...core.names import error_line
 from ...errors import InputError
 from ...render.surface_mesh import AnyObject, object_size
 from ...splats.splat_field import AnyField
-from ...view.camera import framing_orbit
 from ...view.motion import frame_count
 from ..films.checks import MAX_LINE, frozen_vertices
 from ..films.document import (
@@ -34,10 +33,12 @@ from ..films.document import (
     View,
     new_edit,
     part_json,
+    same,
 )
 from ..films.session import timeline
 from ..films.session.scene import Fields
 from ..films.session.session_file import Export, Stamp, file_stamp, free_session_path, write_session
+from ..films.timeline import side_camera
 from . import commands, objects
 from .steps.history import History, seen_as
 from .steps.losses import losses
@@ -48,9 +49,6 @@ SCRUB = "scrub"
 
 #: Parts of the document that are sent to pages.
 PARTS = ("edits", "selection", "settings", "view", "timeline", "objects")
-
-#: Where a new session looks from, degrees, and its vertical field of view.
-ELEVATION, AZIMUTH, FOV = 25.0, -60.0, 40.0
 
 _log = logging.getLogger(__name__)
 
@@ -251,27 +249,15 @@ class Session:
             self.history.push(SCRUB, self.document, looks=True)
             changed.add("history")
             self.notify(f"No key holds the pose that was left at {self.document.time:.2f} s. Undo goes back to it.")
-        poses, view = timeline.state_at(self.document, time)
-        document = timeline.placed_at(self.document, time)
-        document = dataclasses.replace(document, time=time, view=view or self.document.view)
-        for edit in self.document.edits:
-            if edit.id in poses:
-                posed = frozen_vertices(poses[edit.id], len(edit.rest))
-                document = document.with_edit(dataclasses.replace(edit, posed=posed))
-        if not any(edit.sliders for edit in self.document.edits):  # pages show where sliders are
-            self._take(document, changed, without={"edits"})
-        else:
-            self._take(document, changed)
+        slid = any(edit.sliders for edit in self.document.edits)  # pages show where sliders are
+        self._take(timeline.document_at(self.document, time), changed, without=() if slid else {"edits"})
         return leaves
 
     @property
     def unkeyed(self) -> bool:
         """Whether something that keys move is not where the film has it at the present time."""
-        document = self.document
-        poses, _ = timeline.state_at(document, document.time)
-        return timeline.placed_at(document, document.time).objects != document.objects or any(
-            edit.id in poses and not np.array_equal(edit.posed, poses[edit.id]) for edit in document.edits
-        )
+        document = timeline.document_at(self.document, self.document.time)
+        return not all(same(getattr(document, part), getattr(self.document, part)) for part in ("edits", "objects"))
 
     @property
     def left_time(self) -> float | None:
@@ -336,10 +322,7 @@ class Session:
             kept is not None
             and exports == self.exports
             and all(getattr(kept, part) is getattr(document, part) for part in ("edits", "timeline"))
-            and all(
-                getattr(kept, part) == getattr(document, part)
-                for part in ("selection", "settings", "view", "time", "objects")
-            )
+            and all(same(getattr(kept, part), getattr(document, part)) for part in (*PARTS, "time"))
         )
 
     @property
@@ -398,9 +381,8 @@ def new_document(field: AnyField, cages: Iterable[Cage] = (), resolution: int = 
 
 def view_of_box(bounds: np.ndarray, up: np.ndarray) -> View:
     """The view that a new session has of a box (2, 3), world units; up: (3,)."""
-    angles: dict[str, Any] = {"elevation_degrees": ELEVATION, "start_degrees": AZIMUTH, "fov_degrees": FOV}
-    camera = framing_orbit(box_corners(bounds), 1, up=up, **angles)[0]
-    return View(*map(timeline.triple, (camera.center, bounds.mean(axis=0), up / np.linalg.norm(up))), fov=FOV)
+    camera = side_camera(box_corners(bounds), up=up, fov_degrees=View.fov)
+    return timeline.array_view(camera.center, bounds.mean(axis=0), up / np.linalg.norm(up))
 
 
 def _sliders_json(sliders: Sliders | None) -> dict[str, Any] | None:
@@ -416,30 +398,4 @@ def _iso(moment: datetime.datetime) -> str:
 
 def _same(one: Document, two: Document) -> bool:
     """Whether two documents are equal in all that the history keeps."""
-    return all(getattr(one, part) is getattr(two, part) for part in PARTS if part != "view") or (
-        all(getattr(one, part) == getattr(two, part) for part in ("selection", "settings", "objects"))
-        and len(one.edits) == len(two.edits)
-        and all(map(_same_edit, one.edits, two.edits))
-        and _same_film(one.timeline, two.timeline)
-    )
-
-
-def _same_film(one: Timeline, two: Timeline) -> bool:
-    return (
-        all(getattr(one, name) == getattr(two, name) for name in ("length", "fps", "loop", "follows_keys"))
-        and len(one.keys) == len(two.keys)
-        and all(a is b for a, b in zip(one.keys, two.keys, strict=True))
-    )
-
-
-#: What an edit holds besides arrays and where sliders are.
-_PLAIN = tuple(
-    field.name for field in dataclasses.fields(Edit) if field.compare and field.name not in ("faces", "rest", "posed")
-)
-
-
-def _same_edit(one: Edit, two: Edit) -> bool:
-    return one is two or (
-        all(getattr(one, name) == getattr(two, name) for name in _PLAIN)
-        and all(np.array_equal(getattr(one, part), getattr(two, part)) for part in ("faces", "rest", "posed"))
-    )
+    return all(same(getattr(one, part), getattr(two, part)) for part in PARTS if part != "view")

@@ -12,7 +12,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "motion": "cameras_along frame_places path_cameras pose_along pose_weights",
         "moves": "CameraMove MovingCamera camera_moves",
         "render": "Look",
-        "timeline": "MovingScene Objects Timeline",
+        "timeline": "MovingScene Objects",
         "resolve": "AssetResolver RestCage",
         "video": "deep_pixels read_film_frame with_spread_colors write_film write_film_frame write_gif write_video",
     },

@@ -96,6 +96,10 @@ def _numbered(parts: Iterable[Any], number: Any, what: str = "an edit", verb: st
 _TRIPLE, _ID, _NAME, _ANY = Values(checked_triple), Values(checked_id), _part(checked_name), Values(anything)
 
 
+#: Fields of view, degrees.
+FOVS = (1.0, 150.0)
+
+
 @dataclasses.dataclass(frozen=True)
 class View:
     """Where the person looks from; (3,) world units."""
@@ -103,7 +107,7 @@ class View:
     eye: tuple[float, float, float] = option(MISSING, _TRIPLE)  # centre of projection
     target: tuple[float, float, float] = option(MISSING, _TRIPLE)  # in the middle of the picture
     up: tuple[float, float, float] = option(MISSING, _TRIPLE)  # unit vector
-    fov: float = option(40.0, number(1.0, 150.0))  # vertical, degrees
+    fov: float = option(40.0, number(*FOVS))  # vertical, degrees
 
 
 def checked_view(content: Any) -> View:
@@ -216,14 +220,7 @@ class Edit:
     def edit_of(self, rest: Cage) -> CageEdit:
         """The same with a rest cage that is there already. What is removed has no falloff."""
         removes = self.kind == "remove"
-        return CageEdit(
-            rest,
-            keep_source=self.kind == "copy",
-            remove=removes,
-            falloff=0.0 if removes else self.falloff,
-            held=self.held,
-            fragments=self.fragments,
-        )
+        return CageEdit(rest, self.kind == "copy", removes, 0.0 if removes else self.falloff, self.held, self.fragments)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -374,6 +371,19 @@ class Document:
         """The document with a key added, or in the place of the one of the same number."""
         return self.with_timeline(keys=by_time([*(old for old in self.timeline.keys if old.id != key.id), key]))
 
+    def with_key_poses(self, number: int, change: Callable[[np.ndarray], np.ndarray | None]) -> Document:
+        """The document with the poses of one edit changed in all keys; None takes them out."""
+        keys = []
+        for key in self.timeline.keys:
+            if key.poses is not None and number in key.poses:
+                changed = change(key.poses[number])
+                poses = {other: pose for other, pose in key.poses.items() if other != number}
+                poses |= {} if changed is None else {number: changed}
+                key = dataclasses.replace(key, poses=poses or None)
+            if not key.is_empty:
+                keys.append(key)
+        return self.with_timeline(keys=tuple(keys))
+
     def with_timeline(self, **changes: Any) -> Document:
         """The document with another film; one that is shorter takes the head to its end."""
         film = dataclasses.replace(self.timeline, **changes)
@@ -423,6 +433,20 @@ class Document:
             raise InputError(f"the session lacks {error.args[0]!r}") from None
         except (TypeError, AttributeError, OverflowError, IndexError) as error:
             raise InputError(f"the session is damaged: {error}") from None
+
+
+def same(one: Any, two: Any) -> bool:
+    """Whether parts of documents are equal. They share what did not change, and keys are equal to themselves alone."""
+    if one is two or isinstance(one, Key):
+        return one is two
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, two)
+    if isinstance(one, tuple) and isinstance(two, tuple):
+        return len(one) == len(two) and all(map(same, one, two))
+    if not dataclasses.is_dataclass(one) or type(one) is not type(two):
+        return one == two
+    names = (each.name for each in dataclasses.fields(one) if each.compare)
+    return all(same(getattr(one, name), getattr(two, name)) for name in names)
 
 
 #: What a page sends, JSON values that were not checked; and a step: its name, and the document on its other side.

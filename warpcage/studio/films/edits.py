@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
+import functools
 import hashlib
 import json
 import os
 import pathlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -18,7 +18,8 @@ from ...cage.axes import with_up
 from ...cage.cage import Cage
 from ...cage.pose_file import PoseFile, cage_hash
 from ...cage.presets import Preset, is_preset
-from ...core.files import PathLike, atomic_path, path_from, read_document, require_file
+from ...core.files import PathLike, atomic_path, errors_of, path_from, read_document, require_file
+from ...core.names import named_errors
 from ...core.spec import options_json
 from ...edits.edits import MAX_EDITS, CageEdit, edit_from_spec
 from ...edits.spec import EditSpec
@@ -82,12 +83,14 @@ class PosedEdit:
 
 
 class Deformation:
-    """Edits in the order in which they act, at least one, each with its poses."""
+    """Edits in the order in which they act, each with its poses; none where a field is shown as it is."""
 
-    def __init__(self, parts: Sequence[PosedEdit]):
+    def __init__(self, parts: Sequence[PosedEdit] = ()):
         self.parts = list(parts)
         self.edits = [part.edit for part in self.parts]
-        self.pose_count = 1 + max(len(part.poses) for part in self.parts)  # of the edit that has most, and at rest
+        self.pose_count = 1 + max(
+            (len(part.poses) for part in self.parts), default=0
+        )  # of the edit that has most, and at rest
 
     @property
     def posed(self) -> list[Cage | None]:
@@ -157,7 +160,7 @@ class EditReader:
             raise InputError(f"a scene takes at most {MAX_EDITS} edits, got {len(specs)}")
         parts = []
         for number, edit in enumerate(specs, 1):
-            with named(f"edit {number} of {len(specs)}"):
+            with named_errors(f"edit {number} of {len(specs)}"):
                 parts.append(self.edit(edit, [] if edit.posed is None else [edit.posed], field, part=True))
         return Deformation(parts)
 
@@ -190,15 +193,6 @@ class EditReader:
         return PosedEdit(edit, [pose for _, pose in poses], self.interpolation or "smooth", presets, film)
 
 
-@contextlib.contextmanager
-def named(what: str) -> Iterator[None]:
-    """Put a name before what is wrong."""
-    try:
-        yield
-    except ValueError as error:
-        raise InputError(f"{what}: {error}") from error
-
-
 def _hash(parts: Sequence[object]) -> str:
     """sha256 of the texts of some values."""
     return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
@@ -211,13 +205,18 @@ FORMAT, VERSION = "warpcage edits", 2
 def read_edits_file(path: PathLike) -> list[EditSpec]:
     """The edits of an edits file in their order; paths, relative to its folder there, as this process opens them."""
     path = require_file(path, "edits file")
-    try:
+    with errors_of(path, "edits file"):
         edits = read_document(path, "edits file", FORMAT, VERSION, format=None, version=None).get("edits")
         if not isinstance(edits, list) or not edits:
             raise InputError("its edits must be a list of at least one edit")
-        return [_checked_spec(edit, number, path.parent) for number, edit in enumerate(edits, 1)]
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+        specs = []
+        for number, entry in enumerate(edits, 1):
+            # what a later version adds has a higher version: an unknown key is a typing error
+            spec = EditSpec.from_json(entry, f"edit {number}")
+            if not isinstance(spec.cage, str) or not isinstance(spec.posed, str | None):
+                raise InputError(f"edit {number}: its cage and its pose must be named in a text, as for --edit")
+            specs.append(_replaced(spec, functools.partial(os.path.join, path.parent)))
+        return specs
 
 
 def write_edits_file(path: PathLike, edits: list[EditSpec]) -> None:
@@ -229,18 +228,9 @@ def write_edits_file(path: PathLike, edits: list[EditSpec]) -> None:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _checked_spec(entry: Any, number: int, folder: pathlib.Path) -> EditSpec:
-    """One edit of a file."""
-    # what a later version adds has a higher version: an unknown key is a typing error, which must not be lost silently
-    edit = EditSpec.from_json(entry, f"edit {number}")
-    if not isinstance(edit.cage, str) or not isinstance(edit.posed, str | None):
-        raise InputError(f"edit {number}: its cage and its pose must be named in a text, as for --edit")
-    return _replaced(edit, lambda path: os.path.join(folder, path))
-
-
 def _json(edit: EditSpec, folder: pathlib.Path) -> dict[str, Any]:
     """An edit as JSON takes it: what differs from the default, a width of 0 too."""
-    content = options_json(_replaced(edit, lambda path: path_from(folder, path)))
+    content = options_json(_replaced(edit, functools.partial(path_from, folder)))
     return content | ({"held": edit.held_text} if "held" in content else {})
 
 

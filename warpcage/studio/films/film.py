@@ -20,7 +20,7 @@ from ...cage.cage import Cage
 from ...cage.pose_file import DEFAULT_RATE, PoseFile, posed_cage
 from ...core.checks import checked_path, checked_positive, checked_whole, require_type, shown
 from ...core.files import PathLike
-from ...core.names import MAX_FRAMES, MOVE_HELP, checked_choice, counted
+from ...core.names import MAX_FRAMES, MOVE_HELP, checked_choice, counted, named_errors
 from ...core.reports import Progress, report_progress, reports_progress
 from ...deform.deformer import Deformer
 from ...deform.poses import PoseLike
@@ -32,19 +32,17 @@ from ...mesh.mesh import ClosedMesh
 from ...render.surface_mesh import SurfaceMesh
 from ...splats.splat_field import SplatField
 from ...view import frame_parts
-from ...view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
-from ...view.camera_path import camera_at
+from ...view.camera import Camera, CameraFile, CameraKey, fitted
 from ...view.exr import require_openexr
 from ...view.frame import Frame
 from ...view.motion import frame_rate, frame_times
 from ...view.pictures import picture_cuts
 from .folder import checked_film_path, frame_path, make_folder
-from .motion import path_cameras
 from .moves import CameraMove, MovingCamera, camera_moves
 from .overlap import BackgroundWriter
-from .render import Look, Scene, Shot, blurred_picture, drawn_cages, finished, picture_task, pose_bytes, render_shot
+from .render import Look, Scene, Shot, blurred_picture, drawn_cages, picture_task, pose_bytes, render_shot
 from .resolve import AssetResolver
-from .timeline import SIDES, CameraTrack, middle, moving_track, shown_corners
+from .timeline import CameraTrack, keyed_track, middle, moving_track, shown_corners, side_camera
 from .video import checked_rate, require_clear_film, write_film
 
 #: What renders a frame, or what is between two, and the cages that an overlay shows then.
@@ -69,9 +67,6 @@ class Film:
         self._seen: tuple[Any, ...] | None = None  # what `picture` showed last, and that
         self._picture: np.ndarray | None = None
         self._now: tuple[float, Scene, Sequence[Cage]] | None = None
-
-    def __len__(self) -> int:
-        return self.count
 
     def __iter__(self) -> Iterator[np.ndarray]:
         return map(self.picture, range(self.count))
@@ -118,17 +113,19 @@ class Film:
         scale = self.scale
         if self.shutter is None:
             shot = self._shot(index, self.camera(index))
-            return self.look.picture(*shot, scale), shot.frame, shot.camera
-        moments = self.moments(index)
-        shots = map(self._shot, moments, self.track(moments))
-        image, shot = blurred_picture(self.look, shots, len(moments), scale)
+            image = self.look.picture(*shot, scale)
+        else:
+            moments = self.moments(index)
+            shots = map(self._shot, moments, self.track(moments))
+            image, shot = blurred_picture(self.look, shots, len(moments), scale)
         return image, shot.frame, shot.camera
 
     def picture(self, index: int) -> np.ndarray:
         """What the film shows of a frame, read-only; where that is what it showed last, the same array."""
         seen = self._looks(index)
         if self._picture is None or seen is None or seen != self._seen:
-            self._picture, self._seen = finished(self.taken(index)[0]), seen
+            self._picture, self._seen = self.taken(index)[0], seen
+            self._picture.flags.writeable = False  # a film takes it without a copy
         return self._picture
 
     def _looks(self, index: int) -> tuple[Any, ...] | None:
@@ -155,19 +152,6 @@ class Film:
             self._now = frame, *self.moment(frame)
         return self._now[1:]
 
-    def write(
-        self,
-        path: PathLike,
-        fps: float | Fraction,
-        *,
-        loop: bool,
-        numbers: Iterable[int] | None = None,
-        progress: bool | Progress = False,
-    ) -> None:
-        """Write a film, whole or not at all; loop: of a GIF; numbers: those of its frames, for a bar."""
-        frames = self if numbers is None else map(self.picture, numbers)
-        write_film(path, frames, fps, loop=loop, progress=progress)
-
     def write_pictures(self, paths: Iterable[pathlib.Path]) -> None:
         """Write the frames to a file each."""
         paths = list(paths)
@@ -176,26 +160,34 @@ class Film:
             for index, path in enumerate(paths):
                 beside.run(*picture_task(path, *self.taken(index), cuts))
 
-    def write_folder(
+    def write(
         self,
-        folder: pathlib.Path,
-        settings: dict[str, Any],  # as `make_folder` has them
+        path: pathlib.Path,
+        fps: float | Fraction,
+        settings: dict[str, Any] | None = None,  # of a folder, as `make_folder` has them
         *,
+        loop: bool,  # of a GIF
         overwrite: bool = False,
-        reported: Callable[[Sequence[int]], Any],  # with numbers of frames, a block that goes through them
+        reported: Callable[[Sequence[int]], Any] = contextlib.nullcontext,
     ) -> int:
-        """Write the frames that a folder does not have yet, and return how many it had."""
+        """Write a film, whole or not at all, or the frames that a folder does not have yet; returns how many it had.
+        reported: makes of numbers of frames a block that goes through them."""
+        if path.suffix:
+            with reported(range(self.count)) as numbers:
+                write_film(path, map(self.picture, numbers), fps, loop=loop)
+            return 0
+        settings = settings or {}
 
         def make(missing: list[int], begin: Callable[[], None]) -> None:
-            with reported(missing) as frames, picture_cuts(folder) as cuts, BackgroundWriter() as beside:
+            with reported(missing) as frames, picture_cuts(path) as cuts, BackgroundWriter() as beside:
                 for index in frames:
-                    task = picture_task(frame_path(folder, index, settings["format"]), *self.taken(index), cuts)
+                    task = picture_task(frame_path(path, index, settings["format"]), *self.taken(index), cuts)
                     if index == missing[0]:
                         begin()
                     beside.run(*task)
                     del task  # what is rendered next may take its place
 
-        return make_folder(folder, self.cameras, make, settings, overwrite=overwrite)
+        return make_folder(path, self.cameras, make, settings, overwrite=overwrite)
 
 
 #: Width and height of pictures, and frames of a camera that moves, where nothing says others.
@@ -281,28 +273,26 @@ def render_film(
     before = scene.time if isinstance(scene, Stage) else 0.0
     try:
         film = Film(len(request.times), request.track, request.moment, look)
-        numbers = range(film.count)
-        if ending:
-            film.write(target, rate, loop=request.loop != "once", progress=progress)
-            return [target]
-        settings = {
-            "frames": film.count,
-            "fps": str(rate),
-            "size": [film.cameras[0].width, film.cameras[0].height],
-            "format": format,
-            "background": background if isinstance(background, str | None) else np.asarray(background).tolist(),
-            "supersampling": supersampling,
-            "overlay": overlay,
-            "camera": _digest(film.cameras),
-            "field": _digest(scene),
-            "posed": _digest([request.pose(number) for number in numbers]),
-        }
+        numbers, settings = range(film.count), {}
+        if not ending:
+            settings = {
+                "frames": film.count,
+                "fps": str(rate),
+                "size": [film.cameras[0].width, film.cameras[0].height],
+                "format": format,
+                "background": background if isinstance(background, str | None) else np.asarray(background).tolist(),
+                "supersampling": supersampling,
+                "overlay": overlay,
+                "camera": _digest(film.cameras),
+                "field": _digest(scene),
+                "posed": _digest([request.pose(number) for number in numbers]),
+            }
 
         def reported(missing: Sequence[int]) -> Any:
             return contextlib.nullcontext(_reported(missing, film.count, progress))
 
-        film.write_folder(target, settings, overwrite=overwrite, reported=reported)
-        return [frame_path(target, number, format) for number in numbers]
+        film.write(target, rate, settings, loop=request.loop != "once", overwrite=overwrite, reported=reported)
+        return [target] if ending else [frame_path(target, number, format) for number in numbers]
     finally:
         if isinstance(scene, Stage):
             scene.time = before
@@ -321,8 +311,10 @@ class _Request:
         self._size = () if size is None else tuple(size) if isinstance(size, Sequence) else (size,)
         if not all(checked_whole(side, "a side of a picture", 1) for side in self._size) or len(self._size) > 2:
             raise InputError(f"size must be a width, or a width and a height, got {shown(size)}")
+        if file is None:
+            width, height = (*self._size, *self._size)[:2] if self._size else DEFAULT_SIZE
+            file = side_camera(self._points(), up=_field(scene).up, width=width, height=height)
         if self._path is None and self._each is None:
-            file = self._framed() if file is None else file
             require_type(file, Camera, "the camera of a film must be one, a list of them or of camera keys:")
         elif move is not None:
             raise InputError("move is for one camera, which stands still without it: leave it out, or the others")
@@ -353,13 +345,6 @@ class _Request:
         count = next(iter(known.values()), DEFAULT_FRAMES if moves or self._path else 1)
         return [float(number / rate) for number in range(count)]
 
-    def _framed(self) -> Camera:
-        """A camera from a corner that sees all."""
-        width, height = (*self._size, *self._size)[:2] if self._size else DEFAULT_SIZE
-        view = {"up": _field(self.scene).up, "width": width, "height": height}
-        elevation, azimuth = SIDES["corner"]
-        return framing_orbit(self._points(), 1, elevation_degrees=elevation, start_degrees=azimuth, **view)[0]
-
     def _points(self) -> np.ndarray:
         """(n, 3) points around what is seen, world units."""
         scene = _field(self.scene)
@@ -374,14 +359,10 @@ class _Request:
 
     def _placed(self, numbers: Sequence[float]) -> list[Camera]:
         """The cameras of frames that stand, come one a frame, or lie on a path."""
-        if self._each is not None:
-            cameras = [self._each[int(number)] for number in numbers]
-        elif self._path is None:
-            cameras = [self._start] * len(numbers)
-        elif all(key.time is not None for key in self._path):
-            cameras = [camera_at(self._path, self.times[int(number)]) for number in numbers]
+        if self._path is not None:
+            cameras = keyed_track(self._path, len(self.times), lambda number: self.times[int(number)])(numbers)
         else:
-            cameras = path_cameras(self._path, len(self.times), numbers)
+            cameras = [self._start if self._each is None else self._each[int(number)] for number in numbers]
         return [fitted(camera, self._size) for camera in cameras]
 
     def pose(self, number: int) -> list[Cage | None]:
@@ -404,10 +385,8 @@ class _Request:
         cages = self.pose(number)
         pose = pose_bytes(cages)
         if self._held[1] is None or pose != self._held[0]:
-            try:
+            with named_errors(f"frame {number}"):
                 self._held = pose, self.scene.posed(cages)
-            except ValueError as error:
-                raise InputError(f"frame {number}: {error}") from error
         return self._held[1], drawn_cages(self.scene, self._held[1].deformed)
 
 

@@ -120,38 +120,32 @@ def _nothing_left_without_frames(folder: pathlib.Path) -> Iterator[None]:
 def _holds_picture(path: pathlib.Path, camera: Camera) -> bool:
     """Whether a file is a whole picture from a camera. What was cut, on a full disk or elsewhere, is rendered again."""
     try:
-        return _picture_shape(path) == (camera.height, camera.width)
+        if path.suffix == ".exr":
+            shape = read_exr(path)["Z"].shape
+        elif path.suffix == ".npz":
+            shape = read_film_frame(path).shape[:2]
+        else:
+            with open(path, "rb") as file:
+                file.seek(-len(PNG_END), os.SEEK_END)
+                # all pixels may be there before
+                shape = read_image(path).shape[:2] if file.read() == PNG_END else None
+        return shape == (camera.height, camera.width)
     except (OSError, ValueError, KeyError):
         return False
-
-
-def _picture_shape(path: pathlib.Path) -> tuple[int, ...]:
-    """Height and width of a frame, all of which is read."""
-    if path.suffix == ".exr":
-        return read_exr(path)["Z"].shape
-    if path.suffix == ".npz":
-        return read_film_frame(path).shape[:2]
-    with open(path, "rb") as file:
-        file.seek(-len(PNG_END), os.SEEK_END)
-        if file.read() != PNG_END:  # all pixels may be there before
-            raise InputError(f"{path} is cut off")
-    return read_image(path).shape[:2]
 
 
 def checked_film_path(path: PathLike, *, new: bool = True) -> pathlib.Path:
     """The path of a film, or of a folder without an ending, once it is clear that one can be written there.
     new: whether the folder may not hold anything."""
-    target = pathlib.Path(path)
+    target, endings = pathlib.Path(path), ", ".join(FILM_ENDINGS)
     if target.suffix.lower() in FILM_ENDINGS:
         if target.is_dir():
             raise InputError(f"film {str(target)!r} is a folder")
     elif target.suffix:
-        endings = ", ".join(FILM_ENDINGS)
         raise InputError(f"film {str(target)!r} must end in {endings}, or have no ending: a folder of pictures")
     elif new and target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{str(target)!r} is not empty: give the name of a new folder")
     elif target.exists() and not target.is_dir():
-        endings = ", ".join(FILM_ENDINGS)
         raise InputError(f"film {str(target)!r} is a file without an ending: give {endings} or a folder")
     return target
 

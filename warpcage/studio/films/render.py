@@ -19,6 +19,7 @@ from ...deform.stage import Stage
 from ...errors import InputError
 from ...field.render import RenderOptions
 from ...mesh.mesh import ClosedMesh
+from ...mesh.validity import require_usable
 from ...splats.splat_field import AnyField
 from ...view import frame_parts
 from ...view.camera import Camera
@@ -97,11 +98,15 @@ class HeldPose:
         self.deformer = deformer
         self._held: tuple[bytes, ...] | None = None
 
-    def pose(self, cages: Sequence[Cage | None]) -> bool:
-        """Move the cages, one an edit, None for one that removes; returns whether that was to be done."""
+    def pose(self, cages: Sequence[Cage | None], names: Sequence[str] = ()) -> bool:
+        """Move the cages, one an edit, None for one that removes; returns whether that was to be done.
+        names: how messages call cages that cannot be used."""
         pose = pose_bytes(cages)
         if pose == self._held:
             return False
+        for name, cage in zip(names, cages, strict=False):
+            if cage is not None:
+                require_usable(cage, name)
         self._held = None  # should this fail, the next frame poses anew
         self.deformer.pose(cages)
         self._held = pose
@@ -119,12 +124,6 @@ def require_fillable(field: AnyField, name: str) -> None:
     """Raises ValueError where there is nothing to fill; name: of the option, as the message begins."""
     if require_voxels(field, name).background_model is None:
         raise InputError(f"{name}: the background of this field is one colour, there is nothing to fill")
-
-
-def finished(image: np.ndarray) -> np.ndarray:
-    """A picture made read-only, which a film takes without a copy."""
-    image.flags.writeable = False
-    return image
 
 
 def picture_task(

@@ -38,7 +38,7 @@ from ...cage.up_axis import UpAxis, load_standing
 from ...core.checks import shown
 from ...core.files import DAMAGED, PathLike, errors_of, file_stamp, read_json, require_file
 from ...core.memory import LRUCache
-from ...core.names import counted
+from ...core.names import counted, named_errors
 from ...core.npz import NpyFile
 from ...edits.spec import RANDOM, canonical, split_reference
 from ...errors import InputError
@@ -215,7 +215,8 @@ class AssetResolver:
             raise InputError(f"pose file {name!r} holds no keyframes")
         if key.isdigit() and key not in file and int(key) < len(file):
             key = file.names[int(key)]
-        return [_named(file.__getitem__, key, repr(name))] if key else [file[each] for each in file.names]
+        with named_errors(repr(name)):
+            return [file[each] for each in ([key] if key else file.names)]
 
     def film(
         self, rest: RestCage, texts: Sequence[str], up: str | None = None, fps: Fraction | None = None
@@ -296,7 +297,8 @@ class AssetResolver:
         def read(path: pathlib.Path) -> Cage:
             posed, standing = load_standing(Cage, path, up=up, reference=rest.cage, expected=expected)
             self.report_standing(name, standing, "--posed-up")
-            found = _named(rest.cage.match, posed, f"cage {name!r} does not fit its rest cage")
+            with named_errors(f"cage {name!r} does not fit its rest cage"):
+                found = rest.cage.match(posed)
             if not np.array_equal(posed.faces, rest.cage.faces) or len(posed.vertices) != len(rest.cage.vertices):
                 self.report(f"cage {name!r} has another order of vertices than its rest cage: matched")
             return found
@@ -318,20 +320,17 @@ class AssetResolver:
             raise InputError(
                 f"{path}: keyframe {file.timed[0]!r} is at {file.times[file.timed[0]]:g} s: a film begins at 0"
             )
-        try:
+        with named_errors(path):
             for name, easing in file.easings.items():
                 known_easing(name, easing)
             if file.cameras:
                 timed_keys(file.cameras)
-        except ValueError as error:
-            raise InputError(f"{path}: {error}") from None
         self.report_jumps(file, path)
         return file
 
     def report_jumps(self, file: PoseFile, path: str) -> None:
         """Report where two keyframes of a film have one time."""
-        names = file.timed
-        jumps = [(a, b) for a, b in itertools.pairwise(names) if file.times[a] == file.times[b]]
+        jumps = [(a, b) for a, b in itertools.pairwise(file.timed) if file.times[a] == file.times[b]]
         if jumps:
             (one, two), more = jumps[0], len(jumps) - 1
             self.report(
@@ -360,7 +359,8 @@ class AssetResolver:
         else:
             cameras = self._kept(name, "camera file", lambda path: CameraFile.load(path, size=own), own)
         if isinstance(cameras, CameraFile):
-            return _named(cameras.named, key, name)
+            with named_errors(name):
+                return cameras.named(key)
         if not key:
             raise InputError(f"{name} holds {len(cameras)} cameras: name one, {name}#0")
         camera = cameras.camera(key, own)
@@ -378,8 +378,6 @@ def _inline_camera(text: str) -> Camera:
         return camera_from_json(value, 0).camera
     except KeyError as error:
         raise InputError(f"'camera' lacks {error.args[0]!r}") from None
-    except DAMAGED as error:
-        raise InputError(f"'camera' cannot be used: {error}") from None
 
 
 def _read_cameras(path: pathlib.Path) -> CameraFile | TransformsCameras:
@@ -388,11 +386,3 @@ def _read_cameras(path: pathlib.Path) -> CameraFile | TransformsCameras:
         content = read_json(path, "camera file", (dict, list))
     is_path = camera_program(content) or content.get("format") == "warpcage cameras"
     return CameraFile.load(path) if is_path else TransformsCameras(path)
-
-
-def _named(get: Callable[[Any], Value], key: Any, what: str) -> Value:
-    """The result of a call, whose error begins with `what`."""
-    try:
-        return get(key)
-    except ValueError as error:
-        raise InputError(f"{what}: {error}") from None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Callable, Sequence
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from ...cage.cage import Cage
 from ...cage.pose_file import PoseFile
 from ...coordinates.coordinates import deform_points
 from ...core.arrays import box_corners
+from ...core.names import named_errors
 from ...deform.deformer import Deformer
 from ...deform.stage import Stage
 from ...edits.edits import CageEdit
@@ -22,9 +22,10 @@ from ...errors import InputError
 from ...select.selection import NodeSelection
 from ...select.selection_file import SELECTION_ENDINGS
 from ...splats.splat_field import AnyField, SplatField
-from ...view.camera import Camera, CameraKey
+from ...view.camera import Camera, CameraKey, framing_orbit
 from ...view.camera_path import camera_at
 from ...view.motion import frame_rate, time_at
+from ..spec.film import FilmSpec
 from .edits import Deformation
 from .motion import frame_places, path_cameras
 from .moves import MovingCamera
@@ -43,50 +44,15 @@ SIDES = {
     "bottom": (-89.99, -90.0),
 }
 
+
+def side_camera(points: np.ndarray, side: str = "corner", **view: Any) -> Camera:
+    """The camera that sees all points (n, 3) from a side; view: of `framing_orbit`."""
+    elevation, azimuth = SIDES[side]
+    return framing_orbit(points, 1, elevation_degrees=elevation, start_degrees=azimuth, **view)[0]
+
+
 #: Frames of a film, or places between them, counted from 0, to the camera of each.
 CameraTrack = Callable[[Sequence[float]], list[Camera]]
-
-
-@dataclasses.dataclass(frozen=True)
-class Timeline:
-    """Where the poses of a film are."""
-
-    frames: int
-    fps: float | Fraction
-    deformation: Deformation | None = None  # None where the field is shown as it is
-    keys: PoseFile | PlaceFile | None = None  # keys at times that say how long the film is, where there are any
-    loop: str | None = None  # of those
-    motion: str = "swing"  # and how it goes through poses without times, as `frame_places` has it
-    interpolation: str = "smooth"
-
-    def time(self, frame: float) -> float:
-        """Seconds of a frame, or between two."""
-        if self.keys is None:
-            return frame / float(self.fps)
-        return time_at(frame, self.keys.length, frame_rate(self.fps), self.loop or "once")
-
-    def cages(self, frame: float) -> list[Cage | None]:
-        """The posed cages of a frame, or between two, one an edit; None for what is removed."""
-        if self.deformation is None:
-            return []
-        try:
-            if self.keys is not None:
-                return self.deformation.at_time(self.time(frame))
-            return self.deformation.at(self._place(frame))
-        except ValueError as error:
-            raise InputError(f"frame {frame:g}, between the poses: {error}") from error
-
-    def is_still(self) -> bool:
-        """Whether all frames show the same poses."""
-        if self.deformation is None or self.deformation.is_still:
-            return True
-        place = self._place if self.keys is None else self.time
-        return len({place(frame) for frame in range(self.frames)}) == 1
-
-    def _place(self, frame: float) -> float:
-        """Where a frame is among poses without times."""
-        count = 1 if self.deformation is None else self.deformation.pose_count
-        return float(frame_places(self.frames, count, self.motion, self.interpolation, [frame])[0])
 
 
 class Objects:
@@ -134,36 +100,57 @@ class Objects:
         return [places, files, [deformation.fingerprints() for _, deformation in self.moving]]
 
 
+@dataclasses.dataclass(eq=False)
 class MovingScene:
-    """What renders the frames of a film: a field, or a Deformer of it that a timeline poses, alone or among objects."""
+    """What renders the frames of a film, a field or a Deformer of it, alone or among objects, and its poses in time."""
 
-    def __init__(self, field: AnyField, timeline: Timeline, objects: Objects | None = None):
-        self.timeline, self.objects = timeline, objects
-        self._renderer: AnyField | Deformer = field
-        self._posed: HeldPose | None = None
+    field: AnyField
+    spec: FilmSpec
+    deformation: Deformation
+    keys: PoseFile | PlaceFile | None = None  # keys at times that say how long the film is, where there are any
+    objects: Objects | None = None
+    _posed: HeldPose | None = dataclasses.field(default=None, init=False)
 
     def render_by(self, deformer: Deformer) -> None:
         """Have the field rendered by a Deformer, which may be made late: for other frames than these none is needed."""
-        self._renderer, self._posed = deformer, HeldPose(deformer)
+        self._posed = HeldPose(deformer)
+
+    def time(self, frame: float) -> float:
+        """Seconds of a frame, or between two."""
+        if self.keys is None:
+            return frame / float(self.spec.fps)
+        return time_at(frame, self.keys.length, frame_rate(self.spec.fps), self.spec.loop or "once")
+
+    def cages(self, frame: float) -> list[Cage | None]:
+        """The posed cages of a frame, or between two, one an edit; None for what is removed."""
+        with named_errors(f"frame {frame:g}, between the poses"):
+            if self.keys is not None:
+                return self.deformation.at_time(self.time(frame))
+            return self.deformation.at(self._place(frame))
 
     def is_still(self) -> bool:
         """Whether nothing moves but the camera."""
-        return self.timeline.is_still() and (self.objects is None or self.objects.longest(None) is None)
+        place = self._place if self.keys is None else self.time
+        held = self.deformation.is_still or len({place(frame) for frame in range(self.spec.frames)}) == 1
+        return held and (self.objects is None or self.objects.longest(None) is None)
+
+    def _place(self, frame: float) -> float:
+        """Where a frame is among poses without times."""
+        spec, count = self.spec, self.deformation.pose_count
+        return float(frame_places(spec.frames, count, spec.motion, spec.interpolation, [frame])[0])
 
     def __call__(self, frame: float) -> tuple[Scene, list[Cage]]:
         """What renders a frame, or what is between two, and the cages that an overlay shows."""
-        cages: list[Cage] = []
+        renderer, cages = self.field, list[Cage]()
         if self._posed is not None:
-            posed = self.timeline.cages(frame)
-            try:
+            posed, renderer = self.cages(frame), self._posed.deformer
+            with named_errors(f"frame {frame:g}, between the poses"):
                 self._posed.pose(posed)
-            except ValueError as error:
-                raise InputError(f"frame {frame:g}, between the poses: {error}") from error
-            cages = drawn_cages(self._posed.deformer)
+            cages = drawn_cages(renderer)
         if self.objects is None:
-            return self._renderer, cages
-        self.objects.at(self.timeline.time(frame))
-        return self.objects.with_main(self._renderer), cages
+            return renderer, cages
+        self.objects.at(self.time(frame))
+        return self.objects.with_main(renderer), cages
 
 
 def moving_track(
@@ -175,46 +162,43 @@ def moving_track(
 ) -> CameraTrack:
     """The track of a camera that moves; it may follow the edits and what they carry."""
     parts = [move.part for move in moving.moves if move.kind == "follow"]
-    followed = {part: Followed(part, field, edits, resolver) for part in parts}
+    followed = {part: _followed(part, field, edits, resolver) for part in parts}
     return lambda frames: [
-        moving.at(frame, lambda part, frame=frame: followed[part].at(cages_at(frame))) for frame in frames
+        moving.at(frame, lambda part, frame=frame: followed[part](cages_at(frame))) for frame in frames
     ]
 
 
-def keyed_track(keys: Sequence[CameraKey], timeline: Timeline) -> CameraTrack:
-    """The track of camera keys: at their times where the film has keys at times too, or else evenly over the film."""
-    if timeline.keys is not None and all(key.time is not None for key in keys):
-        return lambda frames: [camera_at(keys, timeline.time(frame)) for frame in frames]
-    return lambda frames: path_cameras(keys, timeline.frames, frames)
+def keyed_track(keys: Sequence[CameraKey], count: int, time: Callable[[float], float] | None) -> CameraTrack:
+    """The track of camera keys: at their times where they have some, or else evenly over so many frames.
+    time: gives the seconds of a frame; None: the film has no times of its own."""
+    if time is not None and all(key.time is not None for key in keys):
+        return lambda frames: [camera_at(keys, time(frame)) for frame in frames]
+    return lambda frames: path_cameras(keys, count, frames)
 
 
-class Followed:
-    """Where a part is that a film's camera follows: the cage of an edit, or a region that cages carry."""
+def _followed(
+    part: str, field: AnyField, edits: Sequence[CageEdit], resolver: AssetResolver
+) -> Callable[[Sequence[Cage | None]], np.ndarray]:
+    """What finds the middle (3,) of a part, the cage of an edit or a region that cages carry, where they are posed."""
+    if part == "" or part.isdigit():
+        number = int(part or 1) - 1
+        if not 0 <= number < len(edits):
+            raise InputError(f"follow:{part}: there is no such edit, the film has {len(edits)}")
+        return lambda cages: middle(((cages[number] if cages else None) or edits[number].cage).vertices)
+    if part.lower().endswith(SELECTION_ENDINGS):
+        rest = NodeSelection.load(part, field).points
+    else:
+        rest = resolver.rest(part, None, field, part=True).cage.vertices
 
-    def __init__(self, part: str, field: AnyField, edits: Sequence[CageEdit], resolver: AssetResolver):
-        self._edits = edits
-        self._number = 0
-        self._points: np.ndarray | None = None  # (n, 3) of a region at rest
-        if part == "" or part.isdigit():
-            self._number = int(part or 1) - 1
-            if not 0 <= self._number < len(self._edits):
-                raise InputError(f"follow:{part}: there is no such edit, the film has {len(self._edits)}")
-        elif part.lower().endswith(SELECTION_ENDINGS):
-            self._points = NodeSelection.load(part, field).points
-        else:
-            self._points = resolver.rest(part, None, field, part=True).cage.vertices
-
-    def at(self, cages: Sequence[Cage | None]) -> np.ndarray:
-        """(3,) its middle, where the cages are posed so."""
-        if self._points is None:
-            posed = cages[self._number] if cages else None
-            return middle((self._edits[self._number].cage if posed is None else posed).vertices)
-        points = self._points.copy()
-        for edit, posed in zip(self._edits, cages, strict=True):
-            inside = edit.cage.contains(self._points)
+    def region(cages: Sequence[Cage | None]) -> np.ndarray:
+        points = rest.copy()
+        for edit, posed in zip(edits, cages, strict=True):
+            inside = edit.cage.contains(rest)
             if posed is not None and inside.any():
-                points[inside] = deform_points(self._points[inside], edit.cage, posed)
+                points[inside] = deform_points(rest[inside], edit.cage, posed)
         return middle(points)
+
+    return region
 
 
 def middle(points: np.ndarray) -> np.ndarray:

@@ -87,62 +87,61 @@ def write_film(
     """Write a film, whole or not at all, by its ending; frames are (h, w, 3), for .mov and .webm also (h, w, 4).
     They are taken one by one, in this thread, and encoded by others while the next are made; `loop` is of a GIF."""
     ending = os.path.splitext(path)[1].lower()
-    if ending == ".mp4":
-        write_video(path, frames, fps, progress=progress)
-    elif ending == ".gif":
+    if ending == ".gif":
         write_gif(path, frames, fps, loop=loop, progress=progress)
-    elif ending in CLEAR_ENDINGS:
-        write_clear_video(path, frames, fps, progress=progress)
+    elif ending in FILM_ENDINGS:
+        _write_stream(path, ending, frames, fps, progress)
     else:
         raise InputError(f"film {str(path)!r} must end in {', '.join(FILM_ENDINGS)}")
 
 
-def write_clear_video(
+def write_video(
     path: str | os.PathLike[str],
     frames: Iterable[ArrayLike],
     fps: float | Fraction = 24.0,
     *,
     progress: bool | Progress = False,
 ) -> None:
-    """Write a video that keeps opacity, whole or not at all: ProRes 4444 (.mov) or VP9 (.webm).
-    Frames (h, w, 4) with straight colours, or (h, w, 3), in [0, 1] or uint8, are taken one by one."""
-    # Straight colours, as players of both take them; BT.709, limited range. ProRes is for editors, VP9 for browsers.
-    ending = os.path.splitext(path)[1].lower()
-    if ending not in CLEAR_ENDINGS:
-        raise InputError(f"{str(path)!r} must end in {' or '.join(CLEAR_ENDINGS)}")
+    """Write an H.264 video that browsers play (yuv420p), whole or not at all; odd sizes lose their last row or column.
+    Frames are (h, w, 3) of one size, in [0, 1] or uint8, and are taken one by one."""
+    _write_stream(path_with_ending(path, ".mp4"), ".mp4", frames, fps, progress)
+
+
+def _write_stream(
+    path: str | os.PathLike[str], ending: str, frames: Iterable[ArrayLike], fps: float | Fraction, progress: Any
+) -> None:
+    """Write a video: H.264 (.mp4), or with straight colours and opacity ProRes 4444 (.mov) or VP9 (.webm)."""
     rate = checked_rate(fps, ending)
     with picture_cuts(path) as cuts, atomic_path(path) as temporary:
-        prepare = functools.partial(deep_pixels, cuts=cuts)
-        stream(_owned(frames, progress), prepare, functools.partial(_encode_clear, temporary, ending, rate))
+        prepare = functools.partial(_byte_pixels if ending == ".mp4" else deep_pixels, cuts=cuts)
+        stream(_owned(frames, progress), prepare, functools.partial(_encode, temporary, ending, rate))
 
 
-def _encode_clear(path: pathlib.Path, ending: str, rate: Fraction, images: Iterable[np.ndarray]) -> None:
-    """Write images (h, w, 3 or 4) uint16 as a video with opacity."""
+def _encode(path: pathlib.Path, ending: str, rate: Fraction, images: Iterable[np.ndarray]) -> None:
+    """Write images (h, w, 3) uint8, or (h, w, 3 or 4) uint16 where the film may have opacity."""
     import av
 
     images = _of_one_size(images)
+    images = map(even_frame, images) if ending == ".mp4" else images
     first = next(images)
     height, width, channels = first.shape
-    pixel_format, codec, options = _clear_codec(ending, channels == 4)
-    with av.open(str(path), "w", format=ending[1:]) as container:
+    given, pixel_format, codec, options = _codec(ending, channels == 4)
+    # opened here: by name, some names are taken for addresses
+    with open(path, "w+b") as file, av.open(file, "w", format=ending[1:]) as container:
         video = container.add_stream(codec, rate=rate, options=options)
         video.width, video.height, video.pix_fmt = width, height, pixel_format
-        _tag_colors(video)
+        # players guess the colour space of a stream that is not tagged; PyAV does not convert by it
+        video.color_range, video.color_primaries, video.color_trc, video.colorspace = _LIMITED, 1, 1, 1
         if ending == ".webm" and channels == 4:
             video.metadata["alpha_mode"] = "1"
         for image in itertools.chain([first], images):
-            frame = av.VideoFrame.from_ndarray(image, format="rgba64le" if channels == 4 else "rgb48le")
+            frame = av.VideoFrame.from_ndarray(image, format=given)
             container.mux(video.encode(frame.reformat(format=pixel_format, **_converted())))
         container.mux(video.encode(None))
 
 
 #: Limited range (AVCOL_RANGE_MPEG), and BT.709, which is number 1 of primaries, transfer and matrix.
 _LIMITED = 1
-
-
-def _tag_colors(video: Any) -> None:
-    """Tag the colour space of a stream, which players guess otherwise; PyAV does not convert by it."""
-    video.color_range, video.color_primaries, video.color_trc, video.colorspace = _LIMITED, 1, 1, 1
 
 
 def _converted() -> dict[str, Any]:
@@ -158,12 +157,15 @@ def one_thread() -> dict[str, Any]:
     return {"threads": 1} if int(av.__version__.split(".")[0]) >= 17 else {}
 
 
-def _clear_codec(ending: str, clear: bool) -> tuple[str, str, dict[str, str]]:
-    """Pixel format, encoder and its options."""
-    if ending == ".mov":
+def _codec(ending: str, clear: bool) -> tuple[str, str, str, dict[str, str]]:
+    """Pixel formats of images and of the film, encoder and its options."""
+    if ending == ".mp4":
+        return "rgb24", "yuv420p", "libx264", {}
+    given, kind = ("rgba64le", "yuva") if clear else ("rgb48le", "yuv")
+    if ending == ".mov":  # for editors
         options = {"profile": "4444", "vendor": "apl0", **({"alpha_bits": "16"} if clear else {})}
-        return ("yuva444p10le" if clear else "yuv444p10le"), "prores_ks", options
-    return ("yuva420p" if clear else "yuv420p"), "libvpx-vp9", {"crf": "18", "b": "0", "auto-alt-ref": "0"}
+        return given, f"{kind}444p10le", "prores_ks", options
+    return given, f"{kind}420p", "libvpx-vp9", {"crf": "18", "b": "0", "auto-alt-ref": "0"}  # for browsers
 
 
 def _owned(frames: Iterable[ArrayLike], progress: bool | Progress) -> Iterator[np.ndarray]:
@@ -236,39 +238,6 @@ def read_film_frame(path: str | os.PathLike[str]) -> np.ndarray:
 def _byte_pixels(pixels: np.ndarray, cuts: Cuts) -> np.ndarray:
     """A frame as (h, w, 3) uint8."""
     return to_uint8(as_rgb(pixels), cuts)
-
-
-def write_video(
-    path: str | os.PathLike[str],
-    frames: Iterable[ArrayLike],
-    fps: float | Fraction = 24.0,
-    *,
-    progress: bool | Progress = False,
-) -> None:
-    """Write an H.264 video that browsers play (yuv420p), whole or not at all; odd sizes lose their last row or column.
-    Frames are (h, w, 3) of one size, in [0, 1] or uint8, and are taken one by one."""
-    path = path_with_ending(path, ".mp4")
-    rate = checked_rate(fps, ".mp4")
-    with picture_cuts(path) as cuts, atomic_path(path) as temporary:
-        prepare = functools.partial(_byte_pixels, cuts=cuts)
-        stream(_owned(frames, progress), prepare, functools.partial(_encode_video, temporary, rate))
-
-
-def _encode_video(path: pathlib.Path, rate: Fraction, images: Iterable[np.ndarray]) -> None:
-    """Write images (h, w, 3) uint8 as H.264."""
-    import av
-
-    images = map(even_frame, _of_one_size(images))
-    first = next(images)
-    # opened here: by name, some names are taken for addresses
-    with open(path, "w+b") as file, av.open(file, "w", format="mp4") as container:
-        video = container.add_stream("libx264", rate=rate)
-        video.height, video.width, video.pix_fmt = *first.shape[:2], "yuv420p"
-        _tag_colors(video)
-        for image in itertools.chain([first], images):
-            frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format="yuv420p", **_converted())
-            container.mux(video.encode(frame))
-        container.mux(video.encode(None))
 
 
 def write_gif(

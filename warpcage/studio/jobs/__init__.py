@@ -7,10 +7,10 @@ __getattr__, __dir__, __all__ = lazy_exports(
     {
         "engines.chunk_runner": "Chunk ChunkReport ChunkRunner RunJournal RunnerSettings",
         "items": "EvaluateItem FitItem FrameItem Item record_outputs",
-        "job_file": "Fingerprints ItemReader JobFile Missing write_jobs",
+        "job_file": "Fingerprints JobFile Missing write_jobs",
         "manifest": "Manifest Notes OutputFolder Part id_key merge_notes notes_of_chunk write_array",
         "plan": "foresee make_plan unpaid",
-        "engines.processes": "Answer load_ray LocalHost ProcessEngine ray_session RayHost Share ThisProcess",
+        "engines.processes": "Answer LocalHost ProcessEngine ray_session RayHost Share ThisProcess",
         "run": "Driver run_jobs RunProgress RunReport",
         "scheduler": "AIM LARGEST ChunkQueue Dispatcher",
         "engines.serving": "early_processes",

@@ -5,8 +5,6 @@ from __future__ import annotations
 import concurrent.futures
 import contextlib
 import dataclasses
-import functools
-import hashlib
 import os
 import pathlib
 import shutil
@@ -15,7 +13,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +27,7 @@ from ...view.camera import Camera, CameraKey, camera_json
 from ..films.folder import frame_files, frame_path, make_folder
 from ..films.video import CLEAR_ENDINGS, read_film_frame, write_film
 from .job_file import write_jobs
-from .run import RunProgress, RunReport, run_jobs
+from .run import RunProgress, run_jobs
 
 #: Folder in that of the frames in which workers write; a run that is over leaves none.
 WORKPLACE = ".run"
@@ -37,8 +35,8 @@ WORKPLACE = ".run"
 #: The keys of an edit in the order of job files.
 EDIT_ORDER = ("cage", "keep", "remove", "fragments", "falloff", "held")
 
-#: Seconds between looks for a frame where none is reported.
-LOOK_SECONDS = 0.2
+#: Seconds between looks for a frame.
+LOOK_SECONDS = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,11 +47,6 @@ class FilmFrame:
     camera: Camera
     poses: Sequence[np.ndarray | None] = ()  # of each edit the posed vertices, (v, 3) world units; None: it removes
     moments: Sequence[tuple[Camera, Sequence[np.ndarray | None]]] = ()  # of its shutter, each with its poses
-
-    @property
-    def name(self) -> str:
-        """The id of its item, and the name of its picture without an ending."""
-        return f"frame_{self.index:04d}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +65,7 @@ class FilmJob:
         alone = len(self.edits) == 1
         with contextlib.ExitStack() as files:  # arrays take their places after the job file, or not at all
             cages = [
-                _EditArrays(edit, path.with_name(path.stem if alone else f"{path.stem}.{number}"), files)
+                _EditArrays(edit, path.with_name(path.stem if alone else f"{path.stem}.{number}"))
                 for number, edit in enumerate(self.edits, 1)
             ]
             defaults = {"kind": "frame", "field": _reference(self.field, path.parent), **self.spec}
@@ -87,14 +80,14 @@ class FilmJob:
                     moments = [moment(*each) for each in frame.moments]
                     edits = {"edits": [cage.spec | pose for cage, pose in zip(cages, posed, strict=True)]}
                     yield {
-                        "id": frame.name,
+                        "id": f"frame_{frame.index:04d}",
                         **((posed[0] if alone else edits) if posed else {}),
                         "camera": camera_json(CameraKey(frame.camera)),
                         **({"moments": moments} if moments else {}),
                         "extra": {"frame": frame.index},
                     }
                 for cage in cages:
-                    cage.finish()
+                    cage.write(files)
 
             return write_jobs(path, items(), defaults=defaults | (cages[0].spec if alone else {}), extra=self.extra)
 
@@ -106,45 +99,28 @@ def _reference(file: PathLike, folder: pathlib.Path) -> str:
 
 
 class _EditArrays:
-    """The arrays of an edit: its cage at rest, and its poses, each of which is written once, in a file that grows."""
+    """The arrays of an edit: its cage at rest, and its poses, each once."""
 
-    def __init__(self, edit: CageEdit, stem: pathlib.Path, files: contextlib.ExitStack):
-        rest, faces, poses = (stem.with_name(f"{stem.name}.{part}.npy") for part in ("rest", "faces", "poses"))
-        for path, array in ((rest, edit.cage.vertices), (faces, edit.cage.faces)):
-            np.save(files.enter_context(atomic_path(path)), array, allow_pickle=False)
-        self._poses, self._shape = poses.name, edit.cage.vertices.shape
-        self._rows: dict[bytes, int] = {}  # of poses by their hash
-        self._file: IO[bytes] | None = None
-        if not edit.remove:
-            self._file = files.enter_context(files.enter_context(atomic_path(poses)).open("r+b"))
-            self._start = self._write_header(self._file)
-        spec = edit_spec(edit, {"vertices": rest.name, "faces": faces.name}, None if edit.remove else poses.name).rest
+    def __init__(self, edit: CageEdit, stem: pathlib.Path):
+        rest, faces, self._poses = (stem.with_name(f"{stem.name}.{part}.npy") for part in ("rest", "faces", "poses"))
+        self._arrays = {rest: edit.cage.vertices, faces: edit.cage.faces}
+        self._shape, self._rows = edit.cage.vertices.shape, dict[bytes, int]()  # rows of poses by their bytes
+        poses = None if edit.remove else self._poses.name
+        spec = edit_spec(edit, {"vertices": rest.name, "faces": faces.name}, poses).rest
         self.spec = {name: spec[name] for name in EDIT_ORDER if name in spec}
 
     def posed(self, vertices: np.ndarray | None) -> dict[str, str]:
-        """The keys of a pose."""
-        if self._file is None:
+        """The keys of a pose; None: the edit removes."""
+        if vertices is None:
             return {}
-        assert vertices is not None
-        row = np.ascontiguousarray(vertices, np.float64).tobytes()
-        key = hashlib.blake2b(row, digest_size=16).digest()
-        if key not in self._rows:
-            self._file.write(row)
-            self._rows[key] = len(self._rows)
-        return {"posed": f"{self._poses}#{self._rows[key]}"}
+        row = self._rows.setdefault(np.ascontiguousarray(vertices, np.float64).tobytes(), len(self._rows))
+        return {"posed": f"{self._poses.name}#{row}"}
 
-    def finish(self) -> None:
-        """Write into the header of the poses how many there are."""
-        if self._file is not None:
-            self._file.seek(0)
-            if self._write_header(self._file) != self._start:
-                raise StateError("NumPy wrote a header of another length")
-
-    def _write_header(self, file: IO[bytes]) -> int:
-        # with room for the digits of a first axis that grows
-        header = {"descr": "<f8", "fortran_order": False, "shape": (len(self._rows), *self._shape)}
-        np.lib.format.write_array_header_1_0(file, header)
-        return file.tell()
+    def write(self, files: contextlib.ExitStack) -> None:
+        """Write files that take their places where `files` is closed without an error."""
+        poses = np.frombuffer(b"".join(self._rows), np.float64).reshape(-1, *self._shape)
+        for path, array in (self._arrays | ({self._poses: poses} if len(poses) else {})).items():
+            np.save(files.enter_context(atomic_path(path)), array, allow_pickle=False)
 
 
 @dataclasses.dataclass
@@ -170,7 +146,7 @@ class FilmWorkers:
                 path = pathlib.Path(temporary) / "film.jsonl"
                 self.job.write(path, (self.frames[index] for index in missing))
                 try:
-                    _require_all(self._run(path, folder / WORKPLACE, len(missing), report))
+                    self._run(path, folder / WORKPLACE, len(missing), report)
                 finally:
                     _collect(folder / WORKPLACE, folder)
 
@@ -182,24 +158,24 @@ class FilmWorkers:
         The folder is removed at the end; after an error or an interrupt it stays, and the next run goes on with it."""
         folder = output.with_name(f".{output.name}.frames")
         self.settings, self.overwrite = self.settings | {"version": __version__}, True  # that folder is ours
-        encoder = FilmEncoder(output, rate, loop, [self._places(folder, frame) for frame in self.frames])
-        try:
-            with encoder:
-                self.make_frames(folder, encoder.report)
-        except BaseException:
-            if made := frame_files(folder):
-                print(
-                    f"warpcage: {counted(len(made), 'frame')} kept in {folder}: run it again to go on", file=sys.stderr
-                )
-            raise
+        paths = [frame_path(folder, frame.index, self.settings["format"]) for frame in self.frames]
+        stop = threading.Event()
+        frames = (coming_frame([path, folder / WORKPLACE / path.name], stop) for path in paths)
+        with concurrent.futures.ThreadPoolExecutor(1, "warpcage-film") as thread:
+            film = thread.submit(write_film, output, frames, rate, loop=loop)
+            try:
+                self.make_frames(folder, lambda: film.result() if film.done() else None)
+                film.result()
+            except BaseException:
+                if made := frame_files(folder):
+                    kept = f"{counted(len(made), 'frame')} kept in {folder}"
+                    print(f"warpcage: {kept}: run it again to go on", file=sys.stderr)
+                raise
+            finally:
+                stop.set()
         shutil.rmtree(folder)
 
-    def _places(self, folder: pathlib.Path, frame: FilmFrame) -> list[pathlib.Path]:
-        """Where a frame may be found once it is whole."""
-        place = frame_path(folder, frame.index, self.settings["format"])
-        return [place, folder / WORKPLACE / place.name]
-
-    def _run(self, path: pathlib.Path, out: pathlib.Path, missing: int, report: Callable[[], None]) -> RunReport:
+    def _run(self, path: pathlib.Path, out: pathlib.Path, missing: int, report: Callable[[], None]) -> None:
         count = len(self.frames)
         with bar(count, "animate", done=count - missing, shown=not self.quiet) as shown:
 
@@ -208,7 +184,13 @@ class FilmWorkers:
                 if state.stage == "make":
                     shown.update(count - missing + state.kept + state.done + state.failed - shown.n)
 
-            return run_jobs(path, out, workers=self.workers, device=self.device, progress=show, warn=say_above_bar)
+            done = run_jobs(path, out, workers=self.workers, device=self.device, progress=show, warn=say_above_bar)
+        if done.failed:
+            name, line = next(iter(done.failed.items()))
+            more = f" ({counted(len(done.failed), 'frame')} failed)" if len(done.failed) > 1 else ""
+            raise StateError(f"{name}: {line}{more}")
+        if done.halt is not None:
+            raise StateError(done.halt)
 
 
 def frame_outputs(output: pathlib.Path, show: str, kind: str | None) -> tuple[dict[str, str], str]:
@@ -220,15 +202,6 @@ def frame_outputs(output: pathlib.Path, show: str, kind: str | None) -> tuple[di
     return {show: "{id}." + (kind or "png")}, kind or "png"
 
 
-def _require_all(report: RunReport) -> None:
-    if report.failed:
-        name, line = next(iter(report.failed.items()))
-        more = f" ({counted(len(report.failed), 'frame')} failed)" if len(report.failed) > 1 else ""
-        raise StateError(f"{name}: {line}{more}")
-    if report.halt is not None:
-        raise StateError(report.halt)
-
-
 def _collect(workplace: pathlib.Path, folder: pathlib.Path) -> None:
     """Put the frames of a run in their places, and remove what else it wrote."""
     for path in frame_files(workplace):
@@ -236,44 +209,15 @@ def _collect(workplace: pathlib.Path, folder: pathlib.Path) -> None:
     shutil.rmtree(workplace, ignore_errors=True)
 
 
-class FilmEncoder:
-    """Writes a film of frames that others write, in another thread (`with`). The block ends when it is written."""
-
-    def __init__(self, output: pathlib.Path, rate: Fraction, loop: bool, places: list[list[pathlib.Path]]):
-        self._encode = functools.partial(write_film, output, map(self.frame, places), rate, loop=loop)
-        self._news, self._stopped = threading.Event(), False
-        self._thread = concurrent.futures.ThreadPoolExecutor(1, "warpcage-film")
-
-    def report(self) -> None:
-        """There may be frames. Raises the error of the encoder, if it has one."""
-        self._news.set()
-        if self._written.done():
-            self._written.result()
-
-    def __enter__(self) -> FilmEncoder:
-        self._written = self._thread.submit(self._encode)
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        try:
-            if kind is None:
-                self._news.set()
-                self._written.result()
-        finally:
-            self._stopped = True
-            self._news.set()
-            self._thread.shutdown()
-
-    def frame(self, places: list[pathlib.Path]) -> np.ndarray:
-        """The frame that comes to one of some places, once it is there."""
-        while not self._stopped:
-            for path in filter(pathlib.Path.exists, places):  # one that comes only now is looked for again
-                try:
-                    return read_film_frame(path)
-                except (FileNotFoundError, ValueError):
-                    if path.exists():
-                        raise
-                    # it was moved just now
-            self._news.wait(LOOK_SECONDS)
-            self._news.clear()
-        raise InterruptedError("the film was given up")
+def coming_frame(places: list[pathlib.Path], stop: threading.Event) -> np.ndarray:
+    """The frame that another process writes to one of some places, once it is there; an error after `stop`."""
+    while True:
+        for path in filter(pathlib.Path.exists, places):  # one that comes only now is looked for again
+            try:
+                return read_film_frame(path)
+            except (FileNotFoundError, ValueError):
+                if path.exists():
+                    raise
+                # it was moved just now
+        if stop.wait(LOOK_SECONDS):
+            raise InterruptedError("the film was given up")

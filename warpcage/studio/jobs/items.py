@@ -24,7 +24,6 @@ from ...core.spec import (
     option,
     options_json,
     positive,
-    spec_version,
     text,
     whole,
 )
@@ -33,9 +32,6 @@ from ...errors import InputError
 from ...splats.io import SPLAT_ENDINGS
 from ..spec.scene import FitSceneSpec, SceneSpec
 from ..spec.shot import DEFORMATION, PRECISE, ShotSpec
-
-#: Names in the folder of a run that no output may have, in any case of letters.
-RESERVED = ("manifest.jsonl",)
 
 #: What stands for an item's id in the names of its outputs.
 ID = "{id}"
@@ -57,7 +53,7 @@ class Item(abc.ABC):
     #: Its kind's name, JSON keys besides its options, those that it needs, and all kinds.
     kind: ClassVar[str]
     short: ClassVar[dict[str, Checker]]
-    needed: ClassVar[dict[str, str]]  # messages by the key that is missing
+    needed: ClassVar[dict[str, str]] = {"id": 'an item needs an "id", such as "frame_0001"'}  # messages by missing key
     kinds: ClassVar[dict[str, type[Item]]] = {}
 
     __eq__, __hash__ = object.__eq__, object.__hash__
@@ -85,11 +81,6 @@ class Item(abc.ABC):
         return ""
 
     @property
-    def version(self) -> int:
-        """The first version of job files that has all of its keys."""
-        return spec_version(self)
-
-    @property
     def order(self) -> tuple[str, str]:
         """By which items are sorted so that workers load and pose as little as they can."""
         return self.group, self.pose
@@ -114,14 +105,19 @@ class Item(abc.ABC):
 
     @classmethod
     def _made(cls, entry: Mapping[str, Any], usual: dict[str, Any]) -> Item:
-        given = {key: value for key, value in usual.items() if key not in entry}
-        given |= checked_keys(entry, cls.known(), f"an item of kind {cls.kind!r}")
+        checked = checked_keys(entry, cls.known(), f"an item of kind {cls.kind!r}")
+        given = usual | checked
+        if len(checked) < len(entry):  # null takes a default away
+            given = {key: value for key, value in given.items() if key in checked or key not in entry}
         given.pop("kind", None)
-        if "id" not in given:
-            raise InputError('an item needs an "id", such as "frame_0001"')
-        if missing := [message for key, message in cls.needed.items() if key not in given]:
-            raise InputError(missing[0])
-        return cls(**cls._completed(given))
+        for key in cls.needed:
+            if key not in given:
+                raise InputError(cls.needed[key])
+        given = cls._completed(given)
+        given["outputs"] = {
+            part: output_path(path, given["id"], f"{part!r} of 'outputs'") for part, path in given["outputs"].items()
+        }
+        return cls(**given)
 
     @classmethod
     @abc.abstractmethod
@@ -152,7 +148,7 @@ def digest(value: Any) -> str:
 def output_path(path: Any, item_id: str, name: str) -> str:
     """A checked name of an output, with the item's id put in. Raises ValueError for others."""
     found = safe_name(path.replace(ID, item_id) if isinstance(path, str) else path, name)
-    if found.lower() in RESERVED:
+    if found.lower() == "manifest.jsonl":
         raise InputError(f"{name} cannot be {found!r}, which is the run's own")
     return found
 
@@ -269,7 +265,7 @@ def _frame_outputs(value: Any, name: str) -> dict[str, str]:
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class FrameItem(Item, ShotSpec):
     """A picture of a field, as it is or deformed. Parts of outputs: see PART_ENDINGS; film: colours for films of
-    16 bits; pose: vertices of its posed cages; record: what `batch.worker.frame_record` says of it."""
+    16 bits; pose: vertices of its posed cages; record: what `jobs.worker.frame_record` says of it."""
 
     outputs: dict[str, str] = option(
         dataclasses.MISSING,
@@ -304,7 +300,7 @@ class FrameItem(Item, ShotSpec):
 
     kind: ClassVar[str] = "frame"
     short: ClassVar[dict[str, Checker]] = EDIT_KEYS  # of one edit
-    needed: ClassVar[dict[str, str]] = {key: f"a frame needs a {key!r}" for key in ("field", "camera")}
+    needed: ClassVar = Item.needed | {key: f"a frame needs a {key!r}" for key in ("field", "camera")}
 
     @property
     def group(self) -> str:
@@ -326,11 +322,6 @@ class FrameItem(Item, ShotSpec):
         edits = [dataclasses.replace(edit, posed=posed) for edit, posed in zip(self.edits, poses, strict=True)]
         return dataclasses.replace(self, camera=moment.get("camera", self.camera), edits=tuple(edits), moments=())
 
-    @property
-    def version(self) -> int:
-        edits = (4 if edit.fragments else 2 if edit.is_drawn else 1 for edit in self.edits)
-        return max(super().version, *edits, 1)
-
     @classmethod
     def _made(cls, entry: Mapping[str, Any], usual: dict[str, Any]) -> Item:
         if entry.get("edits") is not None:  # which stands in place of the one edit that defaults may have
@@ -350,10 +341,7 @@ class FrameItem(Item, ShotSpec):
             if "cage" not in short:
                 raise InputError(f"{next(iter(short))!r} needs a 'cage', the cage at rest")
             given["edits"] = (EditSpec(**short),)
-        outputs = given.get("outputs") or {"rgb": f"{ID}.png"}
-        given["outputs"] = {
-            part: output_path(path, given["id"], f"{part!r} of 'outputs'") for part, path in outputs.items()
-        }
+        given.setdefault("outputs", {"rgb": f"{ID}.png"})
         return given
 
     def check(self, named: Callable[[str], str] = repr) -> None:
@@ -409,7 +397,7 @@ class FitItem(Item, FitSceneSpec):
 
     kind: ClassVar[str] = "fit"
     short: ClassVar[dict[str, Checker]] = {"output": _output(".npz", *SPLAT_ENDINGS)}
-    needed: ClassVar[dict[str, str]] = {"scene": "a fit needs a 'scene', the folder of its pictures"}
+    needed: ClassVar = Item.needed | {"scene": "a fit needs a 'scene', the folder of its pictures"}
 
     @property
     def group(self) -> str:
@@ -417,16 +405,11 @@ class FitItem(Item, FitSceneSpec):
 
     @classmethod
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
-        options, outputs = given.get("options", {}), given.get("outputs")
-        of_splats = options.get("representation") == "splats"
-        endings, usual = (SPLAT_ENDINGS, ".ply") if of_splats else ((".npz",), ".npz")
-        if "output" in given:
-            _output(*endings)(given["output"], "'output'")
-        named = given.get("output") or (outputs.get("field") if isinstance(outputs, dict) else "")
-        files = {"field": next((ending for ending in endings if str(named).lower().endswith(ending)), usual)}
-        if options.get("refine_cameras") is True and not of_splats:  # of "auto" it is not known
-            files["cameras"] = ".cameras.json"
-        return given | {"outputs": _outputs(given, files)}
+        options = given.get("options", {})
+        if options.get("representation") == "splats":
+            return _with_outputs(given, ".ply", field=SPLAT_ENDINGS)
+        refined = options.get("refine_cameras") is True  # of "auto" it is not known
+        return _with_outputs(given, ".npz", field=(".npz",), **({"cameras": (".cameras.json",)} if refined else {}))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -442,7 +425,7 @@ class EvaluateItem(Item, SceneSpec):
 
     kind: ClassVar[str] = "evaluate"
     short: ClassVar[dict[str, Checker]] = {"output": _output(".json")}
-    needed: ClassVar[dict[str, str]] = {key: f"an evaluation needs a {key!r}" for key in ("field", "scene")}
+    needed: ClassVar = Item.needed | {key: f"an evaluation needs a {key!r}" for key in ("field", "scene")}
 
     @property
     def group(self) -> str:
@@ -454,25 +437,25 @@ class EvaluateItem(Item, SceneSpec):
 
     @classmethod
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
-        return given | {"outputs": _outputs(given, {"report": ".json"})}
+        return _with_outputs(given, ".json", report=(".json",))
 
 
-def _outputs(given: dict[str, Any], endings: dict[str, str]) -> dict[str, str]:
-    """The outputs of a fit or an evaluation, of "output", the first of them, or of "outputs" as `to_json` writes it."""
+def _with_outputs(given: dict[str, Any], usual: str, **endings: tuple[str, ...]) -> dict[str, Any]:
+    """The keys of a fit or an evaluation with "outputs", of "output", the first of them, or as `to_json` writes it.
+    endings: those that the file of each part may have; usual: of the first."""
     named, several = given.pop("output", None), given.pop("outputs", None)
-    (first, ending), *others = endings.items()
+    first, *others = endings
+    if named is not None:
+        _output(*endings[first])(named, "'output'")
     if several is None:
-        named = named or f"{ID}{ending}"
-        several = {first: named} | {part: named[: -len(ending)] + each for part, each in others}
+        named = named or ID + usual
+        several = {first: named} | {part: named[: -len(usual)] + endings[part][0] for part in others}
     elif named is not None or not isinstance(several, dict) or set(several) != set(endings):
         raise InputError(f"'outputs' must be an object of {', '.join(endings)}, without 'output' beside it")
     for part, path in several.items():
-        _output(endings[part])(path, f"{part!r} of 'outputs'")
-    return {part: output_path(path, given["id"], f"{part!r} of 'outputs'") for part, path in several.items()}
+        _output(*endings[part])(path, f"{part!r} of 'outputs'")
+    return given | {"outputs": several}
 
-
-#: Kinds of items by their names.
-KINDS: dict[str, type[Item]] = Item.kinds
 
 #: Kinds of records, as "records" of a job's header has them.
 FOLDER, WEBDATASET = "folder", "webdataset"
@@ -480,38 +463,29 @@ FOLDER, WEBDATASET = "folder", "webdataset"
 #: What lists the frames of a folder.
 TRANSFORMS = "transforms.json"
 
-#: Items of a shard where the header does not say.
-ITEMS_PER_SHARD = 1000
-
-#: Endings of the parts of a record after an item's id.
-POSE_ENDING, DEPTH_ENDING, ALPHA_ENDING, RECORD_ENDING = ".pose.npy", ".depth.npy", ".alpha.png", ".json"
-
 
 def record_outputs(records: Mapping[str, Any]) -> dict[str, str]:
     """The files of each item of a job with records: names by part, with `{id}` where the item's id goes."""
-    outputs = {"rgb": f"{ID}.{records.get('image', 'png')}"}
-    if records.get("depth", True):
-        outputs["depth"] = ID + DEPTH_ENDING
-    if records.get("alpha", True):
-        outputs["alpha"] = ID + ALPHA_ENDING
-    return outputs | {"pose": ID + POSE_ENDING, "record": ID + RECORD_ENDING}
+    endings = {"depth": ".depth.npy", "alpha": ".alpha.png", "pose": ".pose.npy", "record": ".json"}
+    chosen = {part: ID + ending for part, ending in endings.items() if records.get(part, True)}
+    return {"rgb": f"{ID}.{records.get('image', 'png')}"} | chosen
 
 
-def require_frame(entry: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:
-    """Refuse a line of a job with records that is no frame: a ValueError. defaults: "defaults" of the header."""
-    kind = entry.get("kind") or defaults.get("kind") or FrameItem.kind
+def checked_item(entry: Mapping[str, Any], defaults: Defaults, records: Mapping[str, Any]) -> Item:
+    """An item of a job of the object of its line; records: "records" of the header, which are frames alone, without
+    outputs of their own, or an id that a data set would cut or has itself."""
+    if not records:
+        return Item.from_json(entry, defaults)
+    kind = entry.get("kind") or defaults.spec.get("kind") or FrameItem.kind
     if kind != FrameItem.kind:
         raise InputError(f"'records' are of frames: an item of kind {shown(kind)} belongs into another job")
-
-
-def require_recordable(entry: Mapping[str, Any], item: Item, records: Mapping[str, Any]) -> None:
-    """Refuse a frame that cannot be a record: with outputs of its own, or an id that a data set would cut or has
-    itself."""
+    item = Item.from_json(entry, defaults)
     expected = {part: path.replace(ID, item.id) for part, path in record_outputs(records).items()}
     if entry.get("outputs") is not None and item.outputs != expected:
         raise InputError("'records' of the header say what is written: leave 'outputs' out")
     name = item.id.rpartition("/")[2]
-    if records["kind"] == FOLDER and name + RECORD_ENDING == TRANSFORMS:
+    if records["kind"] == FOLDER and f"{name}.json" == TRANSFORMS:
         raise InputError(f"a folder of records has a {TRANSFORMS} of its own: call it something else")
     if records["kind"] == WEBDATASET and "." in name:
         raise InputError(f"a WebDataset cuts names at their first dot: call it {name.replace('.', '_')!r}")
+    return item

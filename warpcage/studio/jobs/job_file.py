@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import array
 import collections
-import dataclasses
 import functools
 import hashlib
 import json
 import os
 import pathlib
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -26,17 +25,7 @@ from ...core.spec import checked_keys, one_of, whole
 from ...edits.spec import canonical, split_reference
 from ...errors import InputError
 from ...package import WITHOUT_OLD_NAMES
-from .items import (
-    FOLDER,
-    KINDS,
-    WEBDATASET,
-    Defaults,
-    FrameItem,
-    Item,
-    record_outputs,
-    require_frame,
-    require_recordable,
-)
+from .items import FOLDER, WEBDATASET, Defaults, FrameItem, Item, checked_item, record_outputs
 
 
 def _no_constant(name: str) -> Any:
@@ -46,26 +35,18 @@ def _no_constant(name: str) -> Any:
 _DECODER = json.JSONDecoder(parse_constant=_no_constant)
 
 
-@dataclasses.dataclass(frozen=True)
-class ItemReader:
-    """Makes items of the lines of a job file, in any process."""
+def item_of_line(path: str, defaults: Defaults, records: Mapping[str, Any], data: bytes, line: int) -> Item:
+    """The item of a line of a job file, with what it takes from the header; path, line: for messages, from 1."""
+    entry = parsed_line(data, f"{path}, line {line}")
+    try:
+        return checked_item(entry, defaults, records)
+    except ValueError as error:
+        name = f" ({shown(entry['id'])})" if isinstance(entry.get("id"), str) else ""
+        raise InputError(f"{path}, line {line}{name}: {error}") from None
 
-    path: str  # for messages
-    defaults: dict[str, Any]  # what holds where an item says nothing
-    records: dict[str, Any]  # how outputs are kept together
 
-    @functools.cached_property
-    def _usual(self) -> Defaults:
-        return Defaults(self.defaults)
-
-    def item(self, data: bytes, line: int) -> Item:
-        """The item of a line, with what it takes from the header; line: its number, from 1, for messages."""
-        entry = parsed_line(data, f"{self.path}, line {line}")
-        try:
-            return checked_item(entry, self._usual, self.records)
-        except ValueError as error:
-            name = f" ({shown(entry['id'])})" if isinstance(entry.get("id"), str) else ""
-            raise InputError(f"{self.path}, line {line}{name}: {error}") from None
+#: Makes an item of a line and its number, in any process.
+ItemReader = Callable[[bytes, int], Item]
 
 
 def parsed_line(data: bytes, where: str, *, first: bool = False) -> dict[str, Any]:
@@ -85,16 +66,6 @@ def parsed_line(data: bytes, where: str, *, first: bool = False) -> dict[str, An
     except ValueError as error:  # NaN, or a number of too many digits
         wrong = str(error)
     raise InputError(f"{where}: {wrong}")
-
-
-def checked_item(entry: Mapping[str, Any], defaults: Defaults, records: Mapping[str, Any]) -> Item:
-    """An item of a job of the object of its line; records: "records" of the header."""
-    if records:
-        require_frame(entry, defaults.spec)
-    item = Item.from_json(entry, defaults)
-    if records:
-        require_recordable(entry, item, records)
-    return item
 
 
 #: Version 2 has poses that are drawn, 3 moments of a shutter, 4 fragments, which older ones call crumbs. A file has the
@@ -127,7 +98,8 @@ class JobFile:
         self.records: dict[str, Any] = self.header.get("records") or {}  # how outputs are kept together
         if self.records:
             self.defaults = self.defaults | {"outputs": record_outputs(self.records)}
-        self.reader = ItemReader(str(self.path), self.defaults, self.records)
+        defaults = Defaults(self.defaults)
+        self.reader: ItemReader = functools.partial(item_of_line, str(self.path), defaults, self.records)
 
     def __enter__(self) -> JobFile:
         return self
@@ -139,7 +111,10 @@ class JobFile:
         return len(self._lines) - 1
 
     def __iter__(self) -> Iterator[Item]:
-        return self.items()
+        """All items in their order. Raises ValueError at the first that cannot be read."""
+        return map(self.item, range(len(self)))
+
+    items = __iter__
 
     def close(self) -> None:
         self._file.close()
@@ -152,17 +127,11 @@ class JobFile:
         """An item by its number, from 0, with what it takes from the header."""
         if not 0 <= index < len(self):
             raise InputError(f"{self.path} has items 0 to {len(self) - 1}, got {index}")
-        line = int(self._lines[index + 1])
-        return self.reader.item(self._data(line), line + 1)
+        return self.reader(self.data(index), self.line(index))
 
     def data(self, index: int) -> bytes:
-        """The line of an item, from 0, as it stands, for `reader.item`, in this process or another."""
+        """The line of an item, from 0, as it stands, for `reader`, in this process or another."""
         return self._data(int(self._lines[index + 1]))
-
-    def items(self) -> Iterator[Item]:
-        """All items in their order. Raises ValueError at the first that cannot be read."""
-        for index in range(len(self)):
-            yield self.item(index)
 
     def check(self) -> None:
         """Check all lines, and that no two items share an id or a file; capitals count as small letters.
@@ -271,12 +240,12 @@ def _check_defaults(defaults: Any) -> None:
     defaults = renamed_keys(defaults)
     kind = defaults.get("kind")
     if kind is not None:
-        checked_choice(kind, "'kind' of 'defaults'", tuple(KINDS))
-    known = {key: None for maker in KINDS.values() for key in maker.known() if key != "id"}
+        checked_choice(kind, "'kind' of 'defaults'", tuple(Item.kinds))
+    known = {key: None for maker in Item.kinds.values() for key in maker.known() if key != "id"}
     for key, value in defaults.items():
         if key not in known:
             raise InputError(f"'defaults' has no {shown(key)}, only {listed(known, most=60)}")
-        kinds = [KINDS[kind]] if kind is not None and key in KINDS[kind].known() else KINDS.values()
+        kinds = [Item.kinds[kind]] if kind is not None and key in Item.kinds[kind].known() else Item.kinds.values()
         checks, wrong = [each.known()[key] for each in kinds if key in each.known()], None
         for check in () if value is None else checks:
             try:  # one kind that takes the value is enough
@@ -340,7 +309,8 @@ def write_jobs(
         for count, item in enumerate(items, 1):
             entry = item.to_json() if isinstance(item, Item) else dict(item)
             try:
-                version = max(version, checked_item(entry, complete, records).version)
+                checked_item(entry, complete, records)
+                version = max(version, _version_of(entry))
                 file.write(_line(entry))
             except ValueError as error:
                 raise InputError(f"item {count} ({shown(entry.get('id'))}): {error}") from None
@@ -349,12 +319,12 @@ def write_jobs(
     return count
 
 
-def _version_of(defaults: Mapping[str, Any]) -> int:
-    """The first version that has all keys of checked defaults."""
-    edits = [defaults, *(defaults.get("edits") or ())]
+def _version_of(entry: Mapping[str, Any]) -> int:
+    """The first version that has all keys of checked defaults, or of a checked item."""
+    edits = [renamed_keys(edit) for edit in (entry, *(entry.get("edits") or ()))]
     if any(edit.get("fragments") for edit in edits):
         return 4
-    if defaults.get("moments"):
+    if entry.get("moments"):
         return 3
     return 2 if any(isinstance(edit.get("posed"), dict) for edit in edits) else 1
 
@@ -476,8 +446,7 @@ class Missing:
     """Looks for files and rows that items name; base: folder that their paths are relative to."""
 
     def __init__(self, base: PathLike):
-        self.base = base
-        self._files: LRUCache[NpyFile | str | None] = LRUCache(MAX_KNOWN)
+        self.base, self._file = base, functools.lru_cache(MAX_KNOWN)(self._looked_at)
 
     def of(self, item: Item) -> str | None:
         """One line on the first that an item names and is not there; None where all is there."""
@@ -485,7 +454,7 @@ class Missing:
 
     def _wrong(self, reference: str) -> str | None:
         name, place = split_reference(reference)
-        file = self._files.get(name, lambda: self._looked_at(name))
+        file = self._file(name)
         if isinstance(file, str):
             return file
         rows = file.shape[0] if file is not None and file.shape else 0

@@ -64,8 +64,9 @@ class Notes:
         self.file.close()
 
 
-def read_lines(path: PathLike) -> Iterator[tuple[int, dict[str, Any]]]:
-    """The whole lines of a file of records, with the places in bytes where they begin; none where there is no file."""
+def read_lines(path: PathLike) -> Iterator[tuple[int, bytes, dict[str, Any]]]:
+    """The whole lines of a file of records: the place in bytes where each begins, the line, and its record; none where
+    there is no file."""
     # Left out is what is no JSON object with an id and a state: what a killed worker or a full disk cut off.
     try:
         file = open(path, "rb")
@@ -76,7 +77,7 @@ def read_lines(path: PathLike) -> Iterator[tuple[int, dict[str, Any]]]:
         for line in file:
             record = _record(line)
             if record is not None:
-                yield place, record
+                yield place, line, record
             place += len(line)
 
 
@@ -96,7 +97,7 @@ def notes_of_chunk(path: PathLike, chunk: int) -> tuple[list[dict[str, Any]], li
     begun and not settled, the newest last."""
     settled: list[dict[str, Any]] = []
     begun: dict[str, None] = {}
-    for _, record in read_lines(path):
+    for _, _, record in read_lines(path):
         if record["state"] == STARTED and record.get("lot") == chunk:
             begun[record["id"]] = None
         elif record["state"] != STARTED and record["id"] in begun:
@@ -120,7 +121,7 @@ class Manifest:
         return len(self.keys)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        return (record for _, record in read_lines(self.path))
+        return (record for _, _, record in read_lines(self.path))
 
     def find(self, item_id: str) -> dict[str, Any] | None:
         """The record of an item; None where there is none."""
@@ -145,7 +146,7 @@ def _index(files: Iterable[pathlib.Path]) -> np.ndarray:
     rows = (
         (id_key(record["id"]), place, source, _RANKS[record["state"]])
         for source, path in enumerate(files)
-        for place, record in read_lines(path)
+        for place, _, record in read_lines(path)
     )
     return np.fromiter(rows, [("key", np.int64), ("place", np.int64), ("source", np.int32), ("rank", np.int8)])
 
@@ -160,24 +161,16 @@ def merge_notes(manifest: PathLike, notes: Iterable[PathLike], into: PathLike | 
     if not files and into is None:
         return
     index = _index(files)
-    keys = np.unique(index["key"])
-    if len(keys) or into is not None:
+    keys = np.append(np.unique(index["key"]), np.iinfo(np.int64).max)  # with an end, so that each has a place in it
+    if len(index) or into is not None:
         with atomic_path(manifest if into is None else into) as temporary, temporary.open("wb") as out:
-            if manifest.exists():
-                with manifest.open("rb") as before:
-                    for line in before:
-                        record = _record(line)
-                        if record is not None and not _holds(keys, id_key(record["id"])):
-                            out.write(line)
+            for _, line, record in read_lines(manifest):
+                key = id_key(record["id"])
+                if keys[np.searchsorted(keys, key)] != key:
+                    out.write(line)
             out.writelines(_settled(files, index))
     for path in files if into is None else ():
         path.unlink(missing_ok=True)
-
-
-def _holds(keys: np.ndarray, key: int) -> bool:
-    """Whether a key is among sorted ones."""
-    place = int(np.searchsorted(keys, key))
-    return place < len(keys) and int(keys[place]) == key
 
 
 def _settled(files: list[pathlib.Path], index: np.ndarray) -> Iterator[bytes]:
@@ -199,10 +192,8 @@ def newest_seconds(manifest: Manifest, most: int = 1000) -> dict[str, float]:
     found: dict[str, list[float]] = collections.defaultdict(list)
     for record in manifest:
         if record["state"] == DONE and isinstance(record.get("seconds"), int | float):
-            table = found[str(record.get("kind", "frame"))]
-            if len(table) < most:
-                table.append(float(record["seconds"]))
-    return {kind: float(np.median(seconds)) for kind, seconds in found.items()}
+            found[str(record.get("kind", "frame"))].append(float(record["seconds"]))
+    return {kind: float(np.median(seconds[:most])) for kind, seconds in found.items()}
 
 
 #: Folders of a run: files stand in the first until they are whole, and what is left there may be removed once no
@@ -252,12 +243,9 @@ def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathl
 
 def _put(part: pathlib.Path, path: pathlib.Path) -> None:
     """Put a whole file into its place, also where that is on another disk, to which a link in the folder leads."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        try:
-            os.replace(part, path)
-        except FileNotFoundError:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(part, path)
+        os.replace(part, path)
     except OSError as error:
         if error.errno != errno.EXDEV:
             raise
@@ -343,11 +331,10 @@ class OutputFolder:
     def driven(self) -> Iterator[None]:
         """Be the only driver of the folder, or of a part. The lock frees itself where the driver is killed."""
         with contextlib.ExitStack() as held:
-            driver = held.enter_context(open(self.own / "driver.lock", "a+b"))
-            free = _lock(driver, exclusive=self.part is None)
-            if free and self.part is not None:
-                free = _lock(held.enter_context(open(self.own / f"{self.part.name}.lock", "a+b")), exclusive=True)
-            if not free:
+            # whether each is held by this driver alone
+            locks = {"driver.lock": self.part is None} | ({f"{self.part.name}.lock": True} if self.part else {})
+            files = ((held.enter_context(open(self.own / name, "a+b")), alone) for name, alone in locks.items())
+            if not all(_lock(file, exclusive=alone) for file, alone in files):
                 raise InputError(f"another run writes to {str(self.path)!r}: wait for its end, or give another folder")
             if self.part is not None:
                 yield
@@ -407,12 +394,20 @@ class OutputFolder:
 
     def holds(self, outputs: Any) -> bool:
         """Whether all files of a record are there in the size that it says; outputs: bytes by name."""
-        if not isinstance(outputs, dict) or not outputs:
-            return False
-        try:
-            return all(os.stat(self.path / name).st_size == size for name, size in outputs.items())
-        except (OSError, ValueError):
-            return False
+        return are_there(outputs, lambda name: file_size(self.path / name))
+
+
+def are_there(outputs: Any, size_of: Callable[[str], int]) -> bool:
+    """Whether all files of a record have the size that it says; outputs: bytes by name."""
+    return isinstance(outputs, dict) and bool(outputs) and all(size_of(name) == outputs[name] for name in outputs)
+
+
+def file_size(path: pathlib.Path, otherwise: int = -1) -> int:
+    """Bytes of a file; `otherwise` where there is none."""
+    try:
+        return path.stat().st_size
+    except (OSError, ValueError):
+        return otherwise
 
 
 def _lock(file: IO[bytes], *, exclusive: bool) -> bool:

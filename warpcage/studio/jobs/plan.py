@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import collections
 import contextlib
 import dataclasses
 import itertools
@@ -20,15 +19,15 @@ from ...core.names import counted
 from ...core.threads import cpu_threads, limit_threads
 from .engines.chunk_runner import RunnerSettings, run_name
 from .engines.processes import LocalHost, ProcessEngine
-from .items import KINDS, Item
-from .job_file import Fingerprints, JobFile, UniqueNames
+from .items import Item
+from .job_file import Fingerprints, JobFile, Missing, UniqueNames
 from .manifest import DONE, FAILED, Manifest, OutputFolder, id_key, merge_notes, newest_seconds
 from .webdataset import shard_holds, shard_size, span_of, staged_shards
 
 if TYPE_CHECKING:
     from .worker import Worker
 
-KIND_NUMBERS = {kind: number for number, kind in enumerate(KINDS)}  # for `ChunkQueue`
+KIND_NUMBERS = {kind: number for number, kind in enumerate(Item.kinds)}  # for `ChunkQueue`
 
 
 @dataclasses.dataclass
@@ -74,7 +73,9 @@ def make_plan(
         if record is not None and record["state"] == DONE:
             outputs = record.get("outputs")
             there = shard_holds(folder.path, index // shard, outputs) if shard else folder.holds(outputs)
-            wanted[index] = not (there and _unchanged(record, item, fingerprint))
+            if there:
+                with contextlib.suppress(OSError, ValueError):  # the worker will report what is wrong with it
+                    wanted[index] = record.get("inputs") != fingerprint(item)
             changed += int(wanted[index])
         failed_before += record is not None and record["state"] == FAILED
         if not checked % CHECKED_AT_ONCE or checked == len(span):
@@ -98,13 +99,6 @@ def open_shards(plan: Plan, folder: OutputFolder, job: JobFile) -> dict[int, int
     span, size = span_of(job, folder), shard_size(job)
     staged = (shard for shard in staged_shards(folder.path) if folder.part is None or shard * size in span)
     return dict.fromkeys(staged, 0) | dict(zip(shards.tolist(), counts.tolist(), strict=True))
-
-
-def _unchanged(record: dict, item: Item, fingerprint: Callable[[Item], str]) -> bool:
-    try:
-        return record.get("inputs") == fingerprint(item)
-    except (OSError, ValueError):  # the worker will say what is wrong with it
-        return False
 
 
 def unpaid(workers: int, items: int, start: float, work: float, *, foreseen: bool = False) -> str | None:
@@ -161,16 +155,14 @@ def foresee(
     """Look at a job and at what is there of it, and make up to three items of each kind that earlier runs do not know.
     workers: by how many it would be made, on the CPU they share the cores. Nothing is written to `out`."""
     # A process of several workers is started, to see how long that takes, unless a cluster would make the items.
-    from .job_file import Missing  # here, as a driver of processes needs nothing of them
-    from .worker import Worker
+    from .worker import Worker  # here, as a driver of processes needs nothing of it
 
     with JobFile(path) as job, tempfile.TemporaryDirectory() as temporary:
         folder, merged = OutputFolder(out), pathlib.Path(temporary, "manifest.jsonl")
         merge_notes(folder.manifest, folder.notes.glob("*.jsonl"), into=merged)  # those of a run that was killed count
         with contextlib.closing(Manifest(merged)) as manifest:
             plan, known = make_plan(job, folder, manifest), newest_seconds(manifest)
-        numbers = collections.Counter(plan.kinds.tolist())
-        counts = {kind: numbers[number] for kind, number in KIND_NUMBERS.items() if numbers[number]}
+        counts = {kind: count for kind, number in KIND_NUMBERS.items() if (count := int((plan.kinds == number).sum()))}
         measured = {kind: Measured(known[kind], 0.0, "earlier runs") for kind in counts if kind in known}
         errors: dict[str, str] = {}
         wrong, items = Missing(job.folder), (job.item(int(index)) for index in plan.items)
@@ -180,9 +172,8 @@ def foresee(
         found = resolve_device(device)
         threads = max(1, cpu_threads() // workers) if found.is_cpu else cpu_threads()
         with limit_threads(threads), Worker(job.folder, temporary, found) as worker:
-            for kind in counts:
-                if kind not in measured:
-                    _measure(job, plan, kind, worker, measured, errors)
+            for kind in [kind for kind in counts if kind not in measured]:
+                _measure(job, plan, kind, worker, measured, errors)
         workers = max(1, min(workers, len(plan.items)))
         several = workers > 1 and cluster is None
         start = _start_seconds(job, temporary, workers, device) if several else 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 import contextlib
 import dataclasses
+import functools
 import time
 from collections.abc import Callable
 from typing import Any
@@ -153,14 +154,15 @@ def run_jobs(
         with contextlib.closing(folder.read_manifest()) as manifest:
             plan = make_plan(job, folder, manifest, lambda *counts: report(RunProgress("check", *counts)))
         shards = open_shards(plan, folder, job) if shard_size(job) else None
-        begin = time.monotonic()
-        if not len(plan.items) and not shards:
-            return _ended(job, folder, plan, None, begin)
+        chunks = ChunkQueue(plan.items, plan.groups, plan.kinds, whole=shards is not None)
+        dispatcher, begin = Dispatcher(chunks, retries=retries, shards=shards), time.monotonic()
+        if not dispatcher.open:
+            return _ended(job, folder, plan, dispatcher, begin, None)
+        journal.failures = dispatcher.failures
         settings = RunnerSettings(
             str(job.folder), job.reader, str(folder.path), journal.run, device, retries=retries, maker=make
         )
         local = local or not len(plan.items)  # here too, where shards are only to be packed
-        dispatcher = None
         try:
             with contextlib.ExitStack() as working:  # whatever ends it, nothing works afterwards
                 if local:
@@ -169,16 +171,12 @@ def run_jobs(
                     host = LocalHost(workers or 1, device)
                 else:
                     host = RayHost(working.enter_context(ray_session(cluster)), workers, device)
-                working.enter_context(journal)
                 engine = working.enter_context(contextlib.closing(ProcessEngine(host, settings)))
                 count = host.share.workers
-                aim = MIN_AIM if local else min(AIM, MIN_AIM + count / WORKERS_PER_SECOND)
-                chunks = ChunkQueue(plan.items, plan.groups, plan.kinds, aim=aim, whole=shards is not None)
-                dispatcher = Dispatcher(chunks, retries=retries, shards=shards)
-                journal.failures = dispatcher.failures
+                chunks.aim = MIN_AIM if local else min(AIM, MIN_AIM + count / WORKERS_PER_SECOND)
                 for number in range(max(1, min(count, len(plan.items)))):
                     dispatcher.add_worker(str(number))
-                watch = _Watch(plan, dispatcher, count, begin, report, say, pays=count == 1 or cluster is not None)
+                watch = _Watch(plan, dispatcher, count, begin, report, say, count == 1 or cluster is not None)
                 driver = Driver(
                     dispatcher, engine, journal, item_timeout=item_timeout, progress=watch.report, warn=watch.warn
                 )
@@ -192,63 +190,54 @@ def run_jobs(
                 if halt is None:
                     watch.judge(time.monotonic() - begin, foreseen=False)
         finally:
-            full = _merge(folder)
-        return _ended(job, folder, plan, dispatcher, begin, halt or full)
+            try:
+                folder.merge()
+            except OSError as error:  # without room the notes stay, and the next run merges them
+                if not leaves_no_room(error):
+                    raise
+                halt = halt or error_line(error, named=True)
+        return _ended(job, folder, plan, dispatcher, begin, halt)
 
 
+@dataclasses.dataclass
 class _Watch:
-    """Reports how far a run is, and once where fewer workers would be quicker; pays: whether that is not looked at."""
+    """Reports how far a run is, and once where fewer workers would be quicker."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        dispatcher: Dispatcher,
-        count: int,  # of workers
-        begin: float,
-        progress: Progress,
-        warn: Callable[[str], None],
-        pays: bool,
-    ):
-        self._state = RunProgress("make", plan.total, plan.total, plan.kept)
-        self._dispatcher, self._count, self._begin = dispatcher, count, begin
-        self._progress, self._warn = progress, warn
-        self._quiet, self._numbers = pays, collections.Counter(plan.kinds.tolist())  # items by kind
-        self._times: list[float] = []  # seconds of the first two times; at the second a worker is ready
+    plan: Plan
+    dispatcher: Dispatcher
+    count: int  # of workers
+    begin: float
+    progress: Progress
+    say: Callable[[str], None]
+    quiet: bool  # whether that is not looked at any more
+    times: list[float] = dataclasses.field(default_factory=list)  # seconds, two: at the second a worker is ready
+
+    @functools.cached_property
+    def numbers(self) -> collections.Counter[int]:
+        """Items by kind."""
+        return collections.Counter(self.plan.kinds.tolist())
 
     def report(self) -> None:
-        dispatcher, left = self._dispatcher, self._dispatcher.left
-        seconds = time.monotonic() - self._begin
-        if len(self._times) < 2:
-            self._times.append(seconds)
-        counts = {"done": dispatcher.done, "failed": len(dispatcher.failures), "workers": dispatcher.workers}
-        self._progress(dataclasses.replace(self._state, **counts, seconds=seconds))
-        usual = {} if self._quiet else dispatcher.chunks.usual_seconds()
-        if left and usual.keys() >= self._numbers.keys():
-            mean = sum(self._numbers[kind] * each for kind, each in usual.items()) / self._numbers.total()
-            self.judge(seconds + left * mean / self._count, foreseen=True)
+        plan, dispatcher, seconds = self.plan, self.dispatcher, time.monotonic() - self.begin
+        if len(self.times) < 2:
+            self.times.append(seconds)
+        counts = dispatcher.done, len(dispatcher.failures), dispatcher.workers
+        self.progress(RunProgress("make", plan.total, plan.total, plan.kept, *counts, seconds))
+        usual = {} if self.quiet else dispatcher.chunks.usual_seconds()
+        if dispatcher.left and usual.keys() >= self.numbers.keys():
+            mean = sum(self.numbers[kind] * each for kind, each in usual.items()) / self.numbers.total()
+            self.judge(seconds + dispatcher.left * mean / self.count, foreseen=True)
 
     def warn(self, line: str) -> None:
-        self._quiet = True
-        self._warn(line)
+        self.quiet = True
+        self.say(line)
 
     def judge(self, end: float, foreseen: bool) -> None:
-        """Say it where it is so; end: seconds of the run."""
-        if not self._quiet and len(self._times) > 1:
-            start, items = self._times[1], self._numbers.total()
-            line = unpaid(self._count, items, start, end - start, foreseen=foreseen)
-            if line is not None:
+        """Warn where it is so; end: seconds of the run."""
+        if not self.quiet and len(self.times) > 1:
+            start = self.times[1]
+            if line := unpaid(self.count, len(self.plan.items), start, end - start, foreseen=foreseen):
                 self.warn(line)
-
-
-def _merge(folder: OutputFolder) -> str | None:
-    """Merge the notes of a run; a line where there is no room for that: they stay, and the next run merges them."""
-    try:
-        folder.merge()
-    except OSError as error:
-        if not leaves_no_room(error):
-            raise
-        return error_line(error, named=True)
-    return None
 
 
 TICK = 1.0  # seconds after which the driver looks for stragglers even where nothing happened
@@ -257,44 +246,35 @@ MIN_LOOK = 0.5  # seconds between two looks at a worker at least
 GRACE = 5.0  # seconds that workers get to end the items that they have begun, when a run is interrupted
 
 
-@dataclasses.dataclass
-class _Sent:
-    """A chunk that a worker has."""
-
-    order: Chunk
-    look: float  # when it is to be looked at
-    asked: float | None = None  # since when the worker owes an answer about it
-
-
+@dataclasses.dataclass(eq=False)
 class Driver:
     """Makes all that a dispatcher has; item_timeout: seconds after which the worker of an item is ended, None is never.
     progress: called after each answer; warn: takes a line about a worker that died."""
 
-    def __init__(
-        self,
-        dispatcher: Dispatcher,
-        engine: ProcessEngine,
-        journal: RunJournal,
-        *,
-        item_timeout: float | None = None,
-        progress: Callable[[], None] = lambda: None,
-        warn: Callable[[str], None] = lambda line: None,
-    ):
-        self._dispatcher, self._engine, self._journal = dispatcher, engine, journal
-        self._limit, self._progress, self._warn = item_timeout, progress, warn
+    dispatcher: Dispatcher
+    engine: ProcessEngine
+    journal: RunJournal
+    _: dataclasses.KW_ONLY
+    item_timeout: float | None = None
+    progress: Callable[[], None] = lambda: None
+    warn: Callable[[str], None] = lambda line: None
+    halt: str | None = None  # why it ended before its end, one line
+
+    def __post_init__(self) -> None:
         self._idle: dict[str, None] = {}
         self._starts: collections.Counter[str] = collections.Counter()  # how often each was started
-        self._sent: dict[str, dict[int, _Sent]] = {}  # chunks of each worker, by number, the oldest first
-        self.halt: str | None = None  # why it ended before its end, one line
+        self._sent: dict[str, dict[int, Chunk]] = {}  # what each worker has, by number, the oldest first
+        self._looks: dict[str, float] = {}  # when each is to be asked whether an item is late
+        self._asked: dict[str, float] = {}  # since when each owes an answer to that
 
     def run(self) -> str | None:
         """Start the workers, and make all; returns why it ended before its end, one line; None where all is settled."""
-        for name in self._dispatcher.names:
+        for name in self.dispatcher.names:
             self._start(name)
-        while not self._dispatcher.finished:
-            for answer in self._engine.wait(TICK):
+        while not self.dispatcher.finished:
+            for answer in self.engine.wait(TICK):
                 self._take(answer)
-                self._progress()
+                self.progress()
             self._look()
             self._submit_chunks()
         return self.halt
@@ -302,36 +282,41 @@ class Driver:
     def drain(self, seconds: float) -> None:
         """Let workers end, within seconds, what they have begun, and begin no more."""
         self.stop()
-        end = self._engine.now() + seconds
-        while any(self._sent.values()) and self._engine.now() < end:
-            for answer in self._engine.wait(0.1):
+        end = self.engine.now() + seconds
+        while any(self._sent.values()) and self.engine.now() < end:
+            for answer in self.engine.wait(0.1):
                 self._take(answer)
 
     def stop(self) -> None:
         """Let all workers begin no more items."""
-        self._dispatcher.stop()
+        self.dispatcher.stop()
         for name in self._sent:
-            self._engine.submit(name, "stop")
+            self.engine.submit(name, "stop")
 
     def _start(self, name: str) -> None:
         self._starts[name] += 1
-        self._engine.start(name, self._starts[name])
+        self.engine.start(name, self._starts[name])
         self._sent[name] = {}
 
     def _take(self, answer: Answer) -> None:
         name, number = answer.worker, answer.number
         if answer.error is not None:
             self._died(name, answer.error)
-        elif answer.method == "facts" or (answer.method == "begun" and self._dispatcher.begun(name, number)):
+        elif answer.method == "facts":
             self._idle[name] = None
+        elif answer.method == "begin":
+            self.engine.submit(name, "settle", number)
+            if self.dispatcher.begun(name, number):
+                self._idle[name] = None
         elif answer.method == "recall":
-            self._dispatcher.returned(name, number, answer.found)
-        elif answer.method == "oldest" and self._limit is not None and (sent := self._sent[name].get(number)):
+            self.dispatcher.returned(name, number, answer.found)
+        elif answer.method == "oldest" and self.item_timeout is not None:
             item, seconds = answer.found or (None, 0.0)
-            sent.asked, sent.look = None, self._engine.now() + max(self._limit - seconds, MIN_LOOK)
-            if seconds > self._limit:
-                self._died(name, f"its worker was ended: the item took longer than {self._limit:g} s", item)
-        elif answer.method == "run":
+            self._asked.pop(name, None)
+            self._looks[name] = self.engine.now() + max(self.item_timeout - seconds, MIN_LOOK)
+            if seconds > self.item_timeout:
+                self._died(name, f"its worker was ended: the item took longer than {self.item_timeout:g} s", item)
+        elif answer.method in ("run", "settle"):
             self._reported(name, number, answer.found)
 
     def _reported(self, name: str, number: int, report: ChunkReport) -> None:
@@ -339,93 +324,88 @@ class Driver:
         del self._sent[name][number]
         if report.broken is not None:
             for order in self._end(name):
-                rest, _ = self._journal.noted(name, self._starts[name], order)
+                rest, _ = self.journal.noted(name, self._starts[name], order)
                 if not order.items:  # a shard, which may not be packed
                     rest.pack_error = report.broken
-                self._dispatcher.reported(name, rest, order.number)
-        self._dispatcher.reported(name, report, number)
+                self.dispatcher.reported(name, rest, order.number)
+        self.dispatcher.reported(name, report, number)
         if report.halt is not None and self.halt is None:
             self.halt = report.halt
             self.stop()
         if report.broken is not None:
             self._replace(name, report.broken)
-        elif self._dispatcher.takes(name):
+        elif self.dispatcher.takes(name):
             self._idle[name] = None
 
     def _died(self, name: str, reason: str, late: int | None = None) -> None:
         """A worker answers no more, or is not to; late: the item that took too long, which is to blame then."""
         report, begun = ChunkReport(), []
         for order in self._end(name):
-            noted, begun_of_chunk = self._journal.noted(name, self._starts[name], order)
+            noted, begun_of_chunk = self.journal.noted(name, self._starts[name], order)
             for part in ("done", "seconds", "failed", "errors"):
                 getattr(report, part).extend(getattr(noted, part))
             begun += begun_of_chunk
         if late is not None:  # none is to blame where it was settled at the last moment
             begun = [item for item in begun if item != late] + [late] if late in begun else []
-        for item, error in self._dispatcher.died(name, report, begun, reason):
-            self._journal.lost(item, error, self._dispatcher.retries + 1)
+        for item, error in self.dispatcher.died(name, report, begun, reason):
+            self.journal.lost(item, error, self.dispatcher.retries + 1)
         self._replace(name, reason)
 
     def _end(self, name: str) -> list[Chunk]:
         """Make sure that a worker is gone which may merely not answer; returns what it had, the oldest first."""
         self._idle.pop(name, None)
-        self._engine.cancel(name)
-        return [sent.order for sent in self._sent.pop(name).values()]
+        self._asked.pop(name, None)
+        self.engine.cancel(name)
+        return list(self._sent.pop(name).values())
 
     def _replace(self, name: str, reason: str) -> None:
         """Start another process in the place of one that died, unless that dies again and again."""
-        self._warn(f"worker {name}: {reason}: it is started again")
-        if not self._dispatcher.given_up(name):
-            if not self._dispatcher.stopped and not self._dispatcher.finished:
+        self.warn(f"worker {name}: {reason}: it is started again")
+        if not self.dispatcher.given_up(name):
+            if not self.dispatcher.stopped and not self.dispatcher.finished:
                 self._start(name)
             return
-        self._warn(f"worker {name} is given up: it died before it made anything, again and again")
-        if not self._dispatcher.workers and not self._dispatcher.finished:
+        self.warn(f"worker {name} is given up: it died before it made anything, again and again")
+        if not self.dispatcher.workers and not self.dispatcher.finished:
             raise StateError(f"no worker is left: {reason}")
 
     def _look(self) -> None:
-        """Ask workers whose items may be late, each once; those that do not answer are ended."""
-        if self._limit is None:
-            return
-        now = self._engine.now()
-        for name, chunks in list(self._sent.items()):
-            for number, sent in chunks.items():
-                if sent.asked is None and sent.look <= now:
-                    sent.asked = now
-                    self._engine.submit(name, "oldest", number)
-            if any(sent.asked is not None and sent.asked < now - ANSWER for sent in chunks.values()):
+        """Ask workers whose items may be late; those that do not answer are ended."""
+        now = self.engine.now()
+        for name in [] if self.item_timeout is None else [name for name, sent in self._sent.items() if sent]:
+            if name not in self._asked and self._looks[name] <= now:
+                self._asked[name] = now
+                self.engine.submit(name, "oldest")
+            elif self._asked.get(name, now) < now - ANSWER:
                 self._died(name, f"its worker was ended: it did not answer for {ANSWER:g} s")
 
     def _submit_chunks(self) -> None:
         """Give work to workers that have none; where there is none, ask those that are late for some of theirs."""
-        dispatcher = self._dispatcher
+        dispatcher = self.dispatcher
         for name in list(self._idle):
             if dispatcher.stopped or not dispatcher.open:
                 break
-            chunk = dispatcher.next_chunk(name, self._engine.now())
+            chunk = dispatcher.next_chunk(name, self.engine.now())
             if chunk is None:
                 continue
             del self._idle[name]
-            order = self._journal.order(chunk)
-            self._engine.submit(name, "run", order)
-            if self._engine.overlapping:
-                self._engine.submit(name, "begun", chunk.number)
-            # none of its items can be late before
-            self._sent[name][chunk.number] = _Sent(order, self._engine.now() + (self._limit or 0.0))
-        for name, number, share in dispatcher.recalls(len(self._idle), self._engine.now()):
-            self._engine.submit(name, "recall", number, share)
+            order = self.journal.order(chunk)
+            self.engine.submit(name, "begin" if self.engine.overlapping else "run", order)
+            if not self._sent[name]:  # none of its items can be late before
+                self._looks[name] = self.engine.now() + (self.item_timeout or 0.0)
+            self._sent[name][chunk.number] = order
+        for name, number, share in dispatcher.recalls(len(self._idle), self.engine.now()):
+            self.engine.submit(name, "recall", number, share)
 
 
 def _ended(
-    job: JobFile, folder: OutputFolder, plan: Plan, dispatcher: Dispatcher | None, begin: float, halt: str | None = None
+    job: JobFile, folder: OutputFolder, plan: Plan, dispatcher: Dispatcher, begin: float, halt: str | None
 ) -> RunReport:
     """What came of a run; what belongs to all of its items together is written."""
     if job.records.get("kind") == FOLDER and halt is None and folder.part is None:
         with contextlib.closing(folder.read_manifest()) as manifest:
             finish_folder(folder.path, job, manifest)
     seconds = time.monotonic() - begin
-    if dispatcher is None:  # all was there
-        return RunReport(plan.total, plan.kept, 0, {}, 0, halt, seconds)
     failed = {job.item(index).id: line for index, line in sorted(dispatcher.failures.items())}
     failed |= {shard_path(folder.path, shard).name: line for shard, line in dispatcher.unpacked}
     return RunReport(plan.total, plan.kept, dispatcher.done, failed, dispatcher.left, halt, seconds)

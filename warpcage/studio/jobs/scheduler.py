@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import itertools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -50,26 +51,21 @@ class ChunkQueue:
         self._items = np.asarray(items, np.int64)
         groups = np.asarray(groups, np.int64)
         starts = np.flatnonzero(np.diff(groups, prepend=groups[:1] - 1)) if len(groups) else np.zeros(0, np.int64)
-        self._names = groups[starts]
-        if len(np.unique(self._names)) < len(self._names):
+        self.names = groups[starts]  # what callers call each group
+        if len(np.unique(self.names)) < len(self.names):
             raise InputError("items of a group must follow each other")
         self._begin = starts.copy()  # the first item of each group that no worker has taken
         self._end = np.append(starts[1:], len(groups))
         self._kinds = np.zeros(len(starts), np.int64) if kinds is None else np.asarray(kinds, np.int64)[starts]
         self._back: dict[int, list[int]] = {}  # what was taken and came back, by group
-        self._by_size = np.argsort(
-            self._begin - self._end, kind="stable"
-        )  # the largest first: none is left for the end
+        # the largest first: none is left for the end
+        self._by_size = np.argsort(self._begin - self._end, kind="stable")
         self._unclaimed = 0  # index into those
         self._open: set[int] = set()  # groups that were claimed and have items left
         self._seconds: dict[int, _Seconds] = {}  # an item of a group takes
         self._kind_seconds: dict[int, _Seconds] = {}
         self.aim, self._largest, self.whole = aim, largest, whole
         self.left = len(self._items)  # items that no worker has
-
-    def name(self, group: int) -> int:
-        """What callers call a group."""
-        return int(self._names[group])
 
     def left_in(self, group: int) -> int:
         """Items of a group that no worker has."""
@@ -191,13 +187,13 @@ class Dispatcher:
         self.stopped = False
         self._workers: dict[str, _Worker] = {}
         self._sharers: collections.Counter[int | None] = collections.Counter()  # workers at each group
-        self._attempts: dict[int, int] = {}  # items that failed before
+        self.attempts: collections.Counter[int] = collections.Counter()  # how often items were begun and failed
         self._retries: collections.deque[tuple[int, int, str]] = collections.deque()  # item, group, where it failed
-        self._shards = None if shards is None else {shard: count for shard, count in shards.items() if count}
+        self._shards = {shard: count for shard, count in (shards or {}).items() if count}
         ready = [(shard, 0) for shard, count in (shards or {}).items() if not count]
         self._packs: collections.deque[tuple[int, int]] = collections.deque(ready)  # shard, attempts
         self.unpacked: list[tuple[int, str]] = []  # shards that could not be packed
-        self._number = 0
+        self._numbers = itertools.count(1)
         self._busy: set[str] = set()
 
     @property
@@ -224,10 +220,6 @@ class Dispatcher:
     @property
     def workers(self) -> int:
         return len(self._workers)
-
-    def attempts(self, item: int) -> int:
-        """How often an item was begun and failed."""
-        return self._attempts.get(item, 0)
 
     def takes(self, name: str) -> bool:
         """Whether a worker can make the items of another chunk."""
@@ -288,12 +280,10 @@ class Dispatcher:
         self._move(worker, None)  # what takes its place has nothing loaded
         worker.consecutive_failures = 0 if report.done else worker.consecutive_failures + (not begun)
         chunks, worker.chunks, worker.making = list(worker.chunks.values()), {}, None
-        if not chunks:
-            return []
         lost: list[tuple[int, str]] = []
         charged = begun[-1] if begun else None
-        if charged is not None and self._attempts.get(charged, 0) >= self.retries:
-            times = counted(self._attempts.get(charged, 0) + 1, "time")
+        if charged is not None and self.attempts[charged] >= self.retries:
+            times = counted(self.attempts[charged] + 1, "time")
             lost = [(charged, f"{reason}, {times} while it was made")]
             report.failed.extend(lost)
         elif charged is not None:
@@ -345,9 +335,7 @@ class Dispatcher:
         if worker is None or worker.making != number or not items:
             return  # the chunk ended meanwhile, or soon will: its report says what was left
         chunk, back = worker.chunks[number], set(items)
-        kept = [(item, tries) for item, tries in zip(chunk.items, chunk.attempts, strict=True) if item not in back]
-        chunk = dataclasses.replace(chunk, items=[item for item, _ in kept], attempts=[tries for _, tries in kept])
-        worker.chunks[number] = chunk
+        worker.chunks[number] = dataclasses.replace(chunk, items=[item for item in chunk.items if item not in back])
         worker.recalled = False  # what it still holds may be asked for later
         self.chunks.put_back(chunk.group, items)
 
@@ -364,15 +352,15 @@ class Dispatcher:
         self.failures.update(report.failed)
         settled = [*report.done, *(item for item, _ in report.failed)]
         for item in settled:
-            self._attempts.pop(item, None)
+            self.attempts.pop(item, None)
         for item, _ in report.errors:
-            self._attempts[item] = self._attempts.get(item, 0) + 1
+            self.attempts[item] += 1
             self._retries.append((item, groups[item], name))
         for group in dict.fromkeys(groups.values()):
             self.chunks.put_back(group, [item for item in report.left if groups.get(item) == group])
-        if self._shards is not None:
+        if self._shards:
             for group, count in collections.Counter(groups[item] for item in settled).items():
-                shard = self.chunks.name(group)
+                shard = int(self.chunks.names[group])
                 self._shards[shard] -= count
                 if not self._shards[shard]:
                     del self._shards[shard]
@@ -414,9 +402,7 @@ class Dispatcher:
             self.unpacked.append((chunk.shard, reason))
 
     def _chunk(self, items: list[int], group: int, seconds: float | None = None) -> Chunk:
-        self._number += 1
-        attempts = [self._attempts.get(item, 0) for item in items]
-        return Chunk(self._number, items, attempts, group, seconds=seconds)
+        return Chunk(next(self._numbers), items, [self.attempts[item] for item in items], group, seconds=seconds)
 
     def _move(self, worker: _Worker, group: int | None) -> None:
         """Note what a worker has loaded."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import dataclasses
 import math
@@ -28,28 +29,16 @@ from .job_file import write_jobs
 #: Poses that a process gets at once, and that each gets before the next ones are assigned.
 AT_ONCE, AHEAD = 4, 256
 
-#: What this process draws.
-_drawn: list[RandomPoses] = []
-
 
 def rows_by_processes(poses: RandomPoses, count: int, processes: int) -> Iterator[np.ndarray]:
     """The vertices (v, 3) float64, world units, of the first poses in their order: those of this process, to the bit.
     Processes are started anew, not copied: a program needs `if __name__ == "__main__":` around what it does."""
     poses.probe  # noqa: B018  (made once, and sent with the poses)
-    fresh = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, fresh, initializer=_begin, initargs=(poses,)) as pool:
+    fresh, ignored = multiprocessing.get_context("spawn"), (signal.SIGINT, signal.SIG_IGN)  # this process ends them
+    with ProcessPoolExecutor(processes, fresh, initializer=signal.signal, initargs=ignored) as pool:
         step = AHEAD * processes
         for first in range(0, count, step):
-            yield from pool.map(_draw, range(first, min(first + step, count)), chunksize=AT_ONCE)
-
-
-def _begin(poses: RandomPoses) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started this ends it
-    _drawn.append(poses)
-
-
-def _draw(number: int) -> np.ndarray:
-    return _drawn[0].vertices(number)
+            yield from pool.map(poses.vertices, range(first, min(first + step, count)), chunksize=AT_ONCE)
 
 
 #: Highest camera of random views above the horizon, and how much farther than needed the farthest stands.
@@ -164,41 +153,19 @@ class SweepFiles:
     items: int
 
 
-class _Corners:
-    """The lowest and highest corner of a cage at rest and its poses."""
-
-    def __init__(self, rest: Cage):
-        self._shape = rest.vertices.shape
-        self.found = np.array(rest.bounds, np.float64)
-
-    def checked(self, source: PoseSource, most: int | None = None) -> Iterator[np.ndarray]:
-        """The poses of a source; most: the first ones alone. Raises ValueError for vertices that do not fit."""
-        for number, row in enumerate(source.rows(most)):
-            vertices = np.ascontiguousarray(row, dtype="<f8")
-            if vertices.shape != self._shape or not np.isfinite(vertices).all():
-                raise InputError(
-                    f"pose {number} of {source.origin(number)} must be {self._shape} finite numbers as the cage at "
-                    f"rest has them, got shape {vertices.shape}"
-                )
-            self.found[0] = np.minimum(self.found[0], vertices.min(axis=0))
-            self.found[1] = np.maximum(self.found[1], vertices.max(axis=0))
-            yield vertices
-
-    def write(self, path: pathlib.Path, sources: Sequence[PoseSource]) -> None:
-        """Write poses as one array, one after the other."""
-        header = {"descr": "<f8", "fortran_order": False, "shape": (sum(map(len, sources)), *self._shape)}
-        # written, not mapped: a disk that gets full under a mapped file kills the process
-        with path.open("wb") as file:
-            np.lib.format.write_array_header_1_0(file, header)
-            for source in sources:
-                file.writelines(vertices.tobytes() for vertices in self.checked(source))
-
-    def draw(self, sources: Sequence[PoseSource], framed: bool) -> None:
-        """Draw some of the poses that workers draw: those that cameras are to see whole, or the first, as a trial."""
-        share = None if sum(map(len, sources)) <= FRAMED else -(-FRAMED // len(sources))
-        for source in sources:
-            for _ in self.checked(source, share if framed else 1):
-                pass
+def _checked(source: PoseSource, corners: np.ndarray, shape: tuple[int, ...], most: int | None) -> Iterator[np.ndarray]:
+    """The poses of a source, by which corners (2, 3), the lowest and the highest, grow; most: the first ones alone.
+    Raises ValueError for vertices that do not fit."""
+    for number, row in enumerate(source.rows(most)):
+        vertices = np.ascontiguousarray(row, dtype="<f8")
+        if vertices.shape != shape or not np.isfinite(vertices).all():
+            raise InputError(
+                f"pose {number} of {source.origin(number)} must be {shape} finite numbers as the cage at rest has "
+                f"them, got shape {vertices.shape}"
+            )
+        corners[0] = np.minimum(corners[0], vertices.min(axis=0))
+        corners[1] = np.maximum(corners[1], vertices.max(axis=0))
+        yield vertices
 
 
 def write_sweep(
@@ -230,12 +197,20 @@ def write_sweep(
     written = [source for source in sources if len(source) and source.drawn(0) is None]
     drawn = [source for source in sources if len(source) and source.drawn(0) is not None]
     poses, named = (path.with_name(f"{path.stem}.{ending}") for ending in ("poses.npy", "cameras.json"))
-    corners = _Corners(rest)
-    corners.draw(drawn, callable(cameras))
-    with atomic_path(poses) if written else contextlib.nullcontext() as temporary:
-        if temporary is not None:
-            corners.write(temporary, written)
-        chosen = cameras(corners.found) if callable(cameras) else cameras
+    corners, shape = np.array(rest.bounds, np.float64), rest.vertices.shape
+    # of poses that workers draw some are drawn: those that cameras are to see whole, or the first, as a trial
+    share = None if sum(map(len, drawn)) <= FRAMED else -(-FRAMED // len(drawn))
+    for source in drawn:
+        collections.deque(_checked(source, corners, shape, share if callable(cameras) else 1), maxlen=0)
+    with contextlib.ExitStack() as files:
+        if written:
+            header = {"descr": "<f8", "fortran_order": False, "shape": (sum(map(len, written)), *shape)}
+            # written, not mapped: a disk that gets full under a mapped file kills the process
+            with files.enter_context(atomic_path(poses)).open("wb") as file:
+                np.lib.format.write_array_header_1_0(file, header)
+                for source in written:
+                    file.writelines(vertices.tobytes() for vertices in _checked(source, corners, shape, None))
+        chosen = cameras(corners) if callable(cameras) else cameras
         shared = None if isinstance(chosen, RandomViews) else chosen
         count = chosen.count if isinstance(chosen, RandomViews) else len(chosen)
         if not count:
@@ -255,7 +230,7 @@ def write_sweep(
         beside = path.absolute().parent
         usual = {"field": path_from(beside, field), "cage": path_from(beside, cage), **(defaults or {})}
         usual |= {"coordinates": kinds[0]} if len(kinds) == 1 else {}
-        items = _items(_named_poses(sources, poses.name), of_pose, kinds, max(3, len(str(count - 1))))
+        items = _items(sources, poses.name, of_pose, kinds, max(3, len(str(count - 1))))
         written_items = write_jobs(path, items, defaults=usual, records=records or {"kind": "folder"})
         if shared is not None:
             # names that are their numbers: those of files may be anything
@@ -264,14 +239,18 @@ def write_sweep(
 
 
 def _items(
-    poses: Iterable[tuple[Any, dict[str, Any]]],
+    sources: Iterable[PoseSource],
+    file: str,  # of the poses that are written
     cameras: Callable[[int], Iterable[tuple[int, Any]]],  # numbers and cameras of a pose
     kinds: Sequence[str],
     digits: int,
 ) -> Iterator[dict[str, Any]]:
     """The items of a sweep by pose, coordinates and camera: a map is made once for the cameras of a pose."""
-    for pose, (posed, origin) in enumerate(poses):
-        seen = list(cameras(pose))
+    row, poses = 0, ((source, number) for source in sources for number in range(len(source)))
+    for pose, (source, place) in enumerate(poses):
+        posed, seen = source.drawn(place), list(cameras(pose))
+        if posed is None:
+            posed, row = f"{file}#{row}", row + 1
         for kind in kinds:
             folder = f"pose_{pose:06d}" + (f"_{kind}" if len(kinds) > 1 else "")
             for number, camera in seen:
@@ -280,18 +259,8 @@ def _items(
                     "posed": posed,
                     "camera": camera,
                     **({"coordinates": kind} if len(kinds) > 1 else {}),
-                    "extra": {"pose": pose, "camera": number, **origin},
+                    "extra": {"pose": pose, "camera": number, **source.origin(place)},
                 }
-
-
-def _named_poses(sources: Iterable[PoseSource], file: str) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """What items call each pose, and where it comes from; file: of the poses that are written."""
-    row = 0
-    for source in sources:
-        for number in range(len(source)):
-            posed = source.drawn(number)
-            yield f"{file}#{row}" if posed is None else posed, source.origin(number)
-            row += posed is None
 
 
 def _chosen(seed: int, pose: int, count: int, views: int) -> list[int]:

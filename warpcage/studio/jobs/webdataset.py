@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from ...core.files import PathLike, atomic_path
+from ...core.files import PathLike, atomic_path, file_stamp
 from ...errors import MissingFileError
-from .items import ITEMS_PER_SHARD, TRANSFORMS, WEBDATASET, FrameItem
+from .items import TRANSFORMS, WEBDATASET, FrameItem
 from .job_file import JobFile
-from .manifest import DONE, Manifest, OutputFolder
+from .manifest import DONE, Manifest, OutputFolder, are_there, file_size
 
 #: Folder of a run in which shards are made.
 STAGES = ".warpcage/shards"
@@ -33,13 +33,13 @@ CHUNK = 1 << 20
 
 def shard_path(out: PathLike, shard: int) -> pathlib.Path:
     """The tar file of a shard, by its number from 0, whether it is there or not."""
-    return pathlib.Path(out) / f"{_stem(shard)}.tar"
+    return pathlib.Path(out) / f"shard-{shard:06d}.tar"
 
 
 def shard_stage(out: PathLike, shard: int) -> pathlib.Path:
     """The folder in which the records of a shard, by its number from 0, stand until they are packed."""
     # A shard has so many items, by their places in the job file, and is packed when the last of them is settled.
-    return pathlib.Path(out) / STAGES / _stem(shard)
+    return pathlib.Path(out) / STAGES / f"shard-{shard:06d}"
 
 
 def staged_shards(out: PathLike) -> list[int]:
@@ -52,18 +52,9 @@ def staged_shards(out: PathLike) -> list[int]:
 def shard_holds(out: PathLike, shard: int, outputs: Any) -> bool:
     """Whether all files of an item are in its shard, loose or packed, in the size that its record says.
     outputs: bytes by path, as the manifest has them."""
-    if not isinstance(outputs, dict) or not outputs:
-        return False
-    stage, packed = shard_stage(out, shard), _sizes(shard_path(out, shard))
-    return all(_loose_size(stage / name, packed.get(name)) == size for name, size in outputs.items())
-
-
-def _loose_size(path: pathlib.Path, otherwise: int | None) -> int | None:
-    """The size of a loose file, which counts before a packed one."""
-    try:
-        return path.stat().st_size
-    except (OSError, ValueError):
-        return otherwise
+    stage, path = shard_stage(out, shard), shard_path(out, shard)
+    packed = _packed_sizes(path, file_stamp(path)) if path.exists() else {}
+    return are_there(outputs, lambda name: file_size(stage / name, packed.get(name, -1)))  # a loose file counts first
 
 
 def pack_shard(out: PathLike, shard: int, records: Sequence[Mapping[str, Any]]) -> pathlib.Path | None:
@@ -73,7 +64,11 @@ def pack_shard(out: PathLike, shard: int, records: Sequence[Mapping[str, Any]]) 
     # packed again, or a whole shard. Files of a record stand beside each other; dates and owners are left out, so that
     # equal records make equal bytes. Records that failed are left out: a later call with them packs them too.
     target, stage = shard_path(out, shard), shard_stage(out, shard)
-    names = [name for record in records for name in _ordered(record["outputs"])]
+
+    def is_later(name: str) -> tuple[bool, str]:  # than the picture, so that readers show what they have soon
+        return not name.endswith((".png", ".jpg")) or ".alpha." in name, name
+
+    names = [name for record in records for name in sorted(record["outputs"], key=is_later)]
     if names:
         with contextlib.ExitStack() as held:
             before = held.enter_context(tarfile.open(target)) if target.exists() else None
@@ -84,7 +79,7 @@ def pack_shard(out: PathLike, shard: int, records: Sequence[Mapping[str, Any]]) 
                     add_files(tar, name, stage, before, packed)
     else:
         target.unlink(missing_ok=True)
-    _sizes_of.cache_clear()
+    _packed_sizes.cache_clear()
     shutil.rmtree(stage, ignore_errors=True)
     return target if names else None
 
@@ -93,7 +88,7 @@ def shard_size(job: JobFile) -> int:
     """Items of a shard of a job; 0 where it has no shards."""
     if job.records.get("kind") != WEBDATASET:
         return 0
-    return int(job.records.get("items_per_shard", ITEMS_PER_SHARD))
+    return int(job.records.get("items_per_shard", 1000))
 
 
 def span_of(job: JobFile, folder: OutputFolder) -> range:
@@ -125,15 +120,6 @@ def split_key(name: str) -> tuple[str, str]:
     return folder + slash + stem, ending
 
 
-def _stem(shard: int) -> str:
-    return f"shard-{shard:06d}"
-
-
-def _ordered(outputs: Mapping[str, Any]) -> list[str]:
-    """The files of a record: its picture first, so that readers show what they have soon."""
-    return sorted(outputs, key=lambda name: (not name.endswith((".png", ".jpg")) or ".alpha." in name, name))
-
-
 def add_files(
     tar: tarfile.TarFile,
     name: str,
@@ -157,32 +143,17 @@ def add_files(
         tar.addfile(info, file)
 
 
-def _sizes(path: pathlib.Path) -> Mapping[str, int]:
-    """Bytes of each file in a tar file; empty where there is none, or it cannot be read."""
-    try:
-        stat = path.stat()
-    except OSError:
-        return {}
-    return _sizes_of(str(path), stat.st_size, stat.st_mtime_ns)
-
-
 @functools.lru_cache(maxsize=4)
-def _sizes_of(path: str, size: int, time: int) -> Mapping[str, int]:
-    try:
-        with tarfile.open(path) as tar:
-            return {member.name: member.size for member in tar}
-    except (OSError, tarfile.TarError):
-        return {}
-
-
-def beside(path: str, folder: str) -> str:
-    """A path below the folder of a run as one below a folder in it."""
-    return pathlib.PurePosixPath(path).relative_to(folder).as_posix()
+def _packed_sizes(path: pathlib.Path, stamp: tuple[int, int]) -> Mapping[str, int]:
+    """Bytes of each file in a tar file with a stamp; empty where it cannot be read."""
+    with contextlib.suppress(OSError, tarfile.TarError), tarfile.open(path) as tar:
+        return {member.name: member.size for member in tar}
+    return {}
 
 
 #: What transforms.json calls the numbers of a camera, and its frames the parts of a record.
 _INTRINSICS = {"w": "width", "h": "height", "fl_x": "fx", "fl_y": "fy", "cx": "cx", "cy": "cy"}
-_PATHS = {"depth": "depth_path", "alpha": "alpha_path", "pose": "pose_path", "record": "record_path"}
+_PATHS = {name: f"{name}_path" for name in ("depth", "alpha", "pose", "record")} | {"rgb": "file_path"}
 
 
 def finish_folder(out: PathLike, job: JobFile, manifest: Manifest) -> list[pathlib.Path]:
@@ -190,20 +161,14 @@ def finish_folder(out: PathLike, job: JobFile, manifest: Manifest) -> list[pathl
     manifest: which items are done, others are left out. Returns the files; none where no item is done."""
     # Ids as of `warpcage sweep`, pose_000012/camera_003, put the pictures of one pose into a folder, a scene of its
     # own. Intrinsics are those of the first frame, a frame with others has its own. Frames are read one after another.
-    out = pathlib.Path(out)
-    folders: dict[str, array.array[int]] = {}
-    everything = array.array("q")
-    for index, item in enumerate(job.items()):
+    out, folders = pathlib.Path(out), {".": array.array("q")}
+    for index, item in enumerate(job):
         found = manifest.find(item.id) if isinstance(item, FrameItem) and "record" in item.outputs else None
         if found is not None and found["state"] == DONE:
-            everything.append(index)
             place = pathlib.PurePosixPath(item.outputs["rgb"]).parent.as_posix()
-            folders.setdefault(place, array.array("q")).append(index)
-    if not everything:
-        return []
-    parts = {folder: indices for folder, indices in folders.items() if folder != "."}
-    written = [_write(out, ".", _frames(out, ".", job, everything))]
-    return written + [_write(out, folder, _frames(out, folder, job, indices)) for folder, indices in parts.items()]
+            for folder in {".", place}:
+                folders.setdefault(folder, array.array("q")).append(index)
+    return [_write(out, folder, _frames(out, folder, job, indices)) for folder, indices in folders.items() if indices]
 
 
 def _frames(
@@ -213,29 +178,30 @@ def _frames(
     for index in indices:
         item = job.item(index)
         record = json.loads((out / item.outputs["record"]).read_text(encoding="utf-8"))
-        frame = {
-            "file_path": f"./{beside(item.outputs['rgb'], folder)}",
-            "transform_matrix": record["transform_matrix"],  # camera to world, +y up, -z forward
-        }
-        frame |= {_PATHS[part]: f"./{beside(item.outputs[part], folder)}" for part in _PATHS if part in item.outputs}
+        files = {part: pathlib.PurePosixPath(path).relative_to(folder) for part, path in item.outputs.items()}
+        paths = {name: f"./{files[part].as_posix()}" for part, name in _PATHS.items() if part in files}
+        matrix = record["transform_matrix"]  # camera to world, +y up, -z forward
         posed = [edit["posed"] for edit in record.get("edits", ()) if "posed" in edit]
-        frame |= {"id": item.id, "posed": posed}
+        frame = {
+            "file_path": paths.pop("file_path"),
+            "transform_matrix": matrix,
+            **paths,
+            "id": item.id,
+            "posed": posed,
+        }
         camera = record["camera"]
         intrinsics = {"camera_angle_x": float(2.0 * np.arctan(0.5 * camera["width"] / camera["fx"]))}  # radians
-        intrinsics |= {name: camera[word] for name, word in _INTRINSICS.items()}
+        intrinsics |= {name: camera[key] for name, key in _INTRINSICS.items()}
         yield intrinsics, frame if item.extra is None else frame | {"extra": item.extra}
 
 
 def _write(out: pathlib.Path, folder: str, frames: Iterator[tuple[dict[str, Any], dict[str, Any]]]) -> pathlib.Path:
     path = out / folder / TRANSFORMS
-    usual: dict[str, Any] | None = None
+    usual: dict[str, Any] = {}
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         for intrinsics, frame in frames:
-            if usual is None:
-                usual = intrinsics
-                file.write(json.dumps(usual)[:-1] + ', "frames": [\n')
-            else:
-                file.write(",\n")
+            file.write(",\n" if usual else json.dumps(intrinsics)[:-1] + ', "frames": [\n')
+            usual = usual or intrinsics
             own = {} if intrinsics == usual else intrinsics
             file.write(json.dumps(frame | own, ensure_ascii=False))
         file.write("\n]}\n")

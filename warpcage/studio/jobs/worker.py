@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import gc
 import json
 import os
 import pathlib
+import types
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -19,6 +19,7 @@ from ...cage.cage import Cage
 from ...core.arrays import array_bytes
 from ...core.devices import resolve_device
 from ...core.memory import LRUCache, free_bytes, is_shortage
+from ...core.spec import defaults_of
 from ...core.threads import cpu_threads
 from ...deform.deformer import Deformer
 from ...edits.edits import edit_from_spec, picture_cells
@@ -42,6 +43,7 @@ from ..films.overlap import SPARE, TASK_THREADS, Gate
 from ..films.render import HeldPose, Look, Shot, blurred_picture, drawn_cages, render_shot, require_fillable
 from ..films.resolve import AssetResolver, RestCage
 from ..films.video import write_film_frame
+from ..spec.scene import FitSceneSpec, SceneSpec
 from .items import EvaluateItem, FitItem, FrameItem, Item, digest
 from .job_file import Fingerprints
 from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, write_array, write_outputs
@@ -55,26 +57,11 @@ OF_RECORDS = ("pose", "record")
 #: Endings of pictures with 8 bits a channel.
 BYTE_ENDINGS = (".png", ".jpg", ".jpeg")
 
-#: Arrays of a frame that a part is made of. Others are made of all.
-ARRAYS_OF_PARTS = {
-    "rgb": ("rgb",),
-    "film": ("rgb",),
-    "alpha": ("alpha",),
-    "depth": ("alpha", "depth"),
-    "disparity": ("alpha", "depth"),
-    "reveal": ("reveal",),
-    "fold": ("fold",),
-    "outside": ("outside",),
-}
+#: Bytes of a pixel of arrays on the host, 4 of others.
+PIXEL_BYTES = {"rgb": 12, RGB_BYTES: 3}
 
-
-@dataclasses.dataclass
-class Counts:
-    """How often something was made, by which reuse is seen."""
-
-    deformers: int = 0  # cages at rest that were bound to a field, maps of poses, pictures rendered
-    poses: int = 0
-    frames: int = 0
+#: Arrays of a frame that a part is made of, which is no array itself; others are made of all.
+ARRAYS_OF_PARTS = {"film": ("rgb",), "depth": ("alpha", "depth"), "disparity": ("alpha", "depth")}
 
 
 class Bound(HeldPose):
@@ -91,13 +78,12 @@ MAX_FIELDS, MEMORY_SHARE = 8, 0.5
 
 class LoadedFields:
     """Fields by their files, of which those stay loaded that were used last.
-    memory: bytes that they may take together, but one stays whatever it takes; None is a quarter of what is free."""
+    memory: bytes that they may take together, but one stays whatever it takes."""
 
-    def __init__(self, resolver: AssetResolver, device: wp.Device, memory: int | None = None):
+    def __init__(self, resolver: AssetResolver, device: wp.Device, memory: int):
         self.resolver, self.device, self.read_count = resolver, device, 0
         self.dropped: Callable[[AnyField], Any] = lambda field: None  # called with a field that is let go, before it is
-        limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
-        self.kept: LRUCache[AnyField] = LRUCache(MAX_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
+        self.kept: LRUCache[AnyField] = LRUCache(MAX_FIELDS, memory, array_bytes, lambda field: self.dropped(field))
 
     def get(self, name: str, scene_scale: float) -> tuple[Hashable, AnyField]:
         """A key that is another where the file has changed, and the field; scene_scale: as `VoxelField.load` has it."""
@@ -126,12 +112,15 @@ class WorkerCuts(PictureCuts):
 
 class FrameMaker:
     """Renders frames, and keeps what the next ones need: fields, deformers, and the map of the last pose.
-    memory: bytes of deformers beside their fields, one stays whatever it takes; None is a quarter of what is free."""
+    memory: bytes of deformers beside their fields, one stays whatever it takes."""
 
-    def __init__(self, resolver: AssetResolver, fields: LoadedFields, memory: int | None = None):
-        self.resolver, self.fields, self.counts, self.cuts = resolver, fields, Counts(), WorkerCuts(fields.device)
-        limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
-        self.kept: LRUCache[Bound] = LRUCache(MAX_DEFORMERS, limit, _bound_bytes)
+    def __init__(self, resolver: AssetResolver, fields: LoadedFields, memory: int):
+        self.resolver, self.fields, self.cuts = resolver, fields, WorkerCuts(fields.device)
+        # how often cages at rest were bound to a field, maps of poses made, and pictures rendered
+        self.counts = types.SimpleNamespace(deformers=0, poses=0, frames=0)
+        self.kept: LRUCache[Bound] = LRUCache(
+            MAX_DEFORMERS, memory, lambda bound: array_bytes(bound.deformer, leave=(bound.deformer.field,))
+        )
         fields.dropped = self._drop_bound_to
 
     def _drop_bound_to(self, field: AnyField) -> None:
@@ -171,7 +160,8 @@ class FrameMaker:
         writers = {path: _writer(part, path, item, shot, posed, mean, self.cuts) for part, path in outputs}
         self.fields.kept.settle(field_key)
         self.kept.settle(bound_key)
-        return MadeItem(writers, sum(_host_bytes(shot.frame, name) for name in needed))
+        pixels = shot.frame.width * shot.frame.height
+        return MadeItem(writers, sum(pixels * PIXEL_BYTES.get(name, 4) for name in needed))
 
     def _bound(self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera) -> tuple[Hashable, Bound]:
         """A Deformer for an item, and its key."""
@@ -194,16 +184,13 @@ class FrameMaker:
         return [None if edit.remove else self.resolver.pose(rest, edit.posed, edit.up) for edit, rest in edits]
 
 
-def _bound_bytes(bound: Bound) -> int:
-    return array_bytes(bound.deformer, leave=(bound.deformer.field,))
-
-
 def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
     """Names of the arrays of a frame that its outputs are made of: to copy all takes longer than a frame on a GPU."""
     needed = {"alpha"} if Look.of(item).is_transparent else set()
     for part, path in item.outputs.items():
         if part not in OF_RECORDS:
-            needed.update([RGB_BYTES] if is_bytes(item, part, path) else ARRAYS_OF_PARTS.get(part, frame.arrays))
+            own = (part,) if part in frame.arrays else frame.arrays
+            needed.update([RGB_BYTES] if is_bytes(item, part, path) else ARRAYS_OF_PARTS.get(part, own))
     return [name for name in (*frame.arrays, RGB_BYTES) if name in needed]
 
 
@@ -211,18 +198,6 @@ def is_bytes(item: FrameItem, part: str, path: str) -> bool:
     """Whether an output is made of the colours of a frame as bytes, with nothing done to them."""
     plain = part == "rgb" and not Look.of(item).is_transparent and not item.overlay and not item.moments
     return plain and pathlib.PurePosixPath(path).suffix.lower() in BYTE_ENDINGS
-
-
-def _host_bytes(frame: Frame, name: str) -> int:
-    """Bytes of an array on the host."""
-    values = 3 if name in ("rgb", RGB_BYTES) else 1
-    return frame.width * frame.height * values * (1 if name == RGB_BYTES else 4)
-
-
-def pose_array(posed: Sequence[Cage | None]) -> np.ndarray:
-    """Vertices (v, 3) float64, world units, of the posed cages of a frame, one edit after the other; None: one that
-    removes."""
-    return np.concatenate([np.zeros((0, 3)), *(cage.vertices for cage in posed if cage is not None)])
 
 
 def frame_record(item: FrameItem, camera: Camera, posed: Sequence[Cage | None]) -> dict[str, Any]:
@@ -257,7 +232,8 @@ def _writer(
     """What writes a part of a frame."""
     frame, camera = shot.frame, shot.camera
     if part == "pose":
-        return lambda temporary: write_array(temporary, pose_array(posed))
+        vertices = [cage.vertices for cage in posed if cage is not None]  # (v, 3) of one edit after the other
+        return lambda temporary: write_array(temporary, np.concatenate([np.zeros((0, 3)), *vertices]))
     if part == "record":
         return lambda temporary: temporary.write_bytes(
             (json.dumps(frame_record(item, camera, posed), ensure_ascii=False) + "\n").encode()
@@ -292,16 +268,9 @@ def _writer(
 
 
 def _scene(item: FitItem | EvaluateItem, resolver: AssetResolver, background: Any, **options: Any) -> Scene:
-    return load_scene(
-        resolver.path(item.scene),
-        split=item.split,
-        downscale=item.downscale,
-        format=item.format,
-        background=background,
-        masks=item.masks,
-        cameras=None if item.cameras is None else resolver.path(item.cameras),
-        **options,
-    )
+    spec = {name: getattr(item, name) for name in defaults_of(SceneSpec)}
+    spec |= {"background": background, "cameras": None if item.cameras is None else resolver.path(item.cameras)}
+    return load_scene(resolver.path(item.scene), **spec, **options)
 
 
 class FitMaker:
@@ -312,12 +281,11 @@ class FitMaker:
         self.resolver, self.fingerprints, self.device, self.read_count = resolver, fingerprints, device, 0
         self.scenes: LRUCache[Scene] = LRUCache(1)
 
-    def make(self, item: FitItem, checkpoint: pathlib.Path | None = None) -> MadeItem:
+    def make(self, item: FitItem, checkpoint: pathlib.Path) -> MadeItem:
         """Fit a field to the pictures of a scene, as `warpcage fit` does; what is made writes its outputs.
-        checkpoint: file (.npz) that holds the progress, from which a fit goes on whose worker died; None keeps none."""
+        checkpoint: file (.npz) that holds the progress, from which a fit goes on whose worker died."""
         scene = self._read(item)
-        if checkpoint is not None:
-            checkpoint.parent.mkdir(parents=True, exist_ok=True)
+        checkpoint.parent.mkdir(parents=True, exist_ok=True)
         field = fit(scene, device=self.device, progress=False, checkpoint=checkpoint, **item.options)
         writers: dict[str, Writer] = {item.outputs["field"]: field.save}
         refined = field.refined_cameras if isinstance(field, VoxelField) else None
@@ -326,8 +294,8 @@ class FitMaker:
         return MadeItem(writers)
 
     def _read(self, item: FitItem) -> Scene:
-        options = item.split, item.downscale, item.format, item.background, item.masks, item.straighten
-        key = item.scene, item.cameras, repr(options), self.fingerprints.of_inputs(item)
+        options = repr([getattr(item, name) for name in defaults_of(FitSceneSpec)])
+        key = item.scene, options, self.fingerprints.of_inputs(item)
 
         def load() -> Scene:
             self.read_count += 1
@@ -378,7 +346,7 @@ class Worker:
     ):
         self.out, self.device = pathlib.Path(out), resolve_device(device)
         self.resolver = AssetResolver(base, in_json=True)
-        half = None if memory is None else memory // 2
+        half = (int(MEMORY_SHARE * free_bytes(self.device)) if memory is None else memory) // 2
         self.fields = LoadedFields(self.resolver, self.device, half)
         self.frames = FrameMaker(self.resolver, self.fields, half)
         self._fingerprints = Fingerprints(self.resolver.base, self.out)
@@ -422,7 +390,7 @@ class Worker:
         try:
             made = self._made(item)
         except Exception as error:
-            failed: Future[dict[str, int]] = Future()
+            failed = Future[dict[str, int]]()
             failed.set_exception(error)
             return failed
         folder = self.out if out is None else pathlib.Path(out)

@@ -91,8 +91,3 @@ def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings
     for name, value in changes.items():
         checked[name] = value if value is None is defaults[name] else SETTINGS[name].values.check(value, name)
     return dataclasses.replace(settings, **checked)
-
-
-def checked_background(value: Any) -> Background:
-    """A colour behind the scene, as a page gives it; None is the field's own."""
-    return None if value is None else _page_color(value, "background")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import collections
 import dataclasses
 import fractions
 import pathlib
@@ -91,11 +90,6 @@ class PictureSize:
     shape: fractions.Fraction | None = None  # width over height, of a width or of none
     widen: bool = False  # show more than the camera's picture where its shape is another
 
-    @property
-    def is_shaped(self) -> bool:
-        """Whether it says more than a width."""
-        return self.height is not None or self.shape is not None
-
     def of(self, width: int, height: int) -> tuple[int, int]:
         """Width and height where only a shape is given, of a camera of a picture of some size, not magnified."""
         if self.shape is None:
@@ -156,16 +150,13 @@ class _FrameWord(argparse.Action):
             parser.error(f"argument {option_string}: takes rest, posed or a .json file, got {values!r}")
 
 
-#: Options of specs that are flags: spec and name by both, and by flag where one spec alone has it.
-SPEC_FLAGS = {
-    f"{spec.__name__}.{name}": (spec, name)
-    for spec in (EditSpec, FilmSpec, FitSceneSpec, FitSpec)
-    for name, option in options_of(spec).items()
-    if option.flag
-}
-_FLAGS = [(str(options_of(spec)[name].flag).split()[0], (spec, name)) for spec, name in SPEC_FLAGS.values()]
-_USES = collections.Counter(flag for flag, _ in _FLAGS)
-SPEC_FLAGS |= {flag: each for flag, each in _FLAGS if _USES[flag] == 1}
+#: Options of specs that are flags, by spec and name and by flag alone: that of the first spec that has it.
+SPEC_FLAGS: dict[str, tuple[type, str]] = {}
+for _spec in (EditSpec, FilmSpec, FitSceneSpec, FitSpec):
+    for _name, _option in options_of(_spec).items():
+        if _option.flag:
+            SPEC_FLAGS[f"{_spec.__name__}.{_name}"] = _spec, _name
+            SPEC_FLAGS.setdefault(_option.flag.split()[0], (_spec, _name))
 
 
 def _spec_row(spec: type, name: str, default_help: str) -> tuple[str, dict[str, Any]]:

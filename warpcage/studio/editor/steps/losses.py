@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ....cage.cage import Cage
 from ....coordinates.coordinates import deform_points
 from ....core.names import agreed, counted
 from ...films.document import Document, Edit, Key
@@ -76,17 +75,16 @@ def _rough(old: Edit, new: Edit, pairs: _Pairs) -> str | None:
     """One line where poses that keys hold fit an edit's new cage only roughly."""
     both = [(key.poses, now.poses) for key, now in pairs if key.poses and now and now.poses]
     carried = [(was[old.id], pose[old.id]) for was, pose in both if old.id in was and old.id in pose]
-    if not carried or np.array_equal(old.faces, new.faces) or _same_cage(old.rest_cage.subdivide(), new):
+    if not carried or np.array_equal(old.faces, new.faces):
+        return None
+    finer = old.rest_cage.subdivide()
+    if np.array_equal(finer.faces, new.faces) and np.array_equal(finer.vertices, new.rest):
         return None
     off = max(_off(old, was, new, pose) for was, pose in carried)
     if off <= TOLERANCE:
         return None
     where = f"the poses of {counted(len(carried), 'key')}" if len(carried) > 1 else "the pose of 1 key"
     return f'The new cage of "{new.name}" takes {where} over roughly: up to {off:.1%} of its size off.'
-
-
-def _same_cage(cage: Cage, edit: Edit) -> bool:
-    return np.array_equal(cage.faces, edit.faces) and np.array_equal(cage.vertices, edit.rest)
 
 
 def _off(old: Edit, was: np.ndarray, new: Edit, pose: np.ndarray) -> float:

@@ -15,7 +15,7 @@ from aiohttp import WSCloseCode, web
 
 from ....core.checks import checked_whole
 from ....errors import InputError
-from ...spec.settings import Background, checked_background
+from ...spec.settings import Background, Settings, checked_settings
 
 #: Frames that may be on their way to a page.
 FRAMES_UNDER_WAY = 2
@@ -62,7 +62,8 @@ class Client:
     def resize(self, message: dict[str, Any]) -> None:
         """Take what the page says of its viewport."""
         width, height = (checked_whole(message[name], name, 1, 16384) for name in ("width", "height"))
-        self.size, self.ground = (width, height), checked_background(message.get("ground"))
+        ground = checked_settings(Settings(), {"background": message.get("ground")}).background
+        self.size, self.ground = (width, height), ground
 
     # -- To the page
 

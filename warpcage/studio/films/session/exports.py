@@ -15,7 +15,7 @@ import numpy as np
 from ....cage.cage import Cage
 from ....core.checks import checked_flag, checked_whole
 from ....core.files import PathLike
-from ....core.names import TRANSPARENT
+from ....core.names import TRANSPARENT, named_errors
 from ....deform.bake import bake
 from ....deform.deformer import Deformer
 from ....errors import InputError
@@ -31,7 +31,7 @@ from ..folder import atomic_folder, checked_film_path
 from ..overlap import BackgroundWriter
 from ..render import Look, Scene
 from ..video import checked_rate, require_clear_film, write_film
-from .scene import Fields, PosedScene, view_camera
+from .scene import Fields, PosedScene, is_filled, view_camera
 from .timeline import document_at, frame_rate, frame_times, pose_file
 
 #: Width and height of a film where none is given, and the largest, pixels.
@@ -90,7 +90,7 @@ def film_shot(document: Document, field: AnyField, film: Film) -> Settings:
     """How the frames of a document's film are made; field: the session's own."""
     settings = document.settings
     background = TRANSPARENT if film.transparent else settings.background
-    fill = settings.fill and background is None and field.background_model is not None and not document.is_staged
+    fill = not film.transparent and is_filled(document, field)
     return dataclasses.replace(settings, background=background, fill=fill, overlay=film.overlay, show="rgb")
 
 
@@ -107,10 +107,8 @@ def film_pictures(
         number = int(frame)
         report(number / len(times), f"frame {number + 1} of {len(times)}")
         now = document_at(document, times[number])
-        try:
+        with named_errors(f"at {times[number]:.3f} s of the film"):
             scene.prepare(now)
-        except ValueError as error:
-            raise InputError(f"at {times[number]:.3f} s of the film: {error}") from error
         cages = []
         for scene_object in now.objects:
             edits = [edit for edit in now.edits_of(scene_object.id) if edit.visible and edit.kind != "remove"]

@@ -14,7 +14,7 @@ import warp as wp
 from ....cage.cage import Cage
 from ....cage.walls import cut_faces
 from ....core.arrays import box_corners
-from ....core.checks import listed
+from ....core.memory import LRUCache
 from ....deform.deformer import Deformer
 from ....deform.stage import Stage
 from ....edits.edits import CageEdit
@@ -27,8 +27,8 @@ from ....splats.splat_field import AnyField
 from ....view.camera import Camera
 from ....view.frame import Frame
 from ...spec.settings import Settings
-from ..document import MAIN, Document, Edit, SceneObject, View
-from ..render import Look
+from ..document import MAIN, Document, Edit, SceneObject, View, same
+from ..render import HeldPose, Look
 
 #: Deformers that are kept for one set of edits, one per resolution: a drag and a picture at rest may have two.
 KEPT_DEFORMERS = 2
@@ -55,6 +55,12 @@ def clicked_pixel(view: View, across: float, down: float, aspect: float) -> tupl
     width, height = round(CLICK_ROWS * aspect), CLICK_ROWS
     pixel = min(int(across * width), width - 1), min(int(down * height), height - 1)
     return pixel, view_camera(view, width, height)
+
+
+def is_filled(document: Document, field: AnyField) -> bool:
+    """Whether background that an edit uncovers is filled in pictures at rest; field: the session's own."""
+    settings, around = document.settings, field.background_model
+    return settings.fill and settings.background is None and around is not None and not document.is_staged
 
 
 class Fields:
@@ -92,13 +98,6 @@ def read_fields(document: Document, main: AnyField, folder: pathlib.Path) -> Fie
         if scene_object.file is not None and scene_object.file not in fields.files:
             fields.files[scene_object.file] = load_object(folder / scene_object.file, device=main.device)
     return fields
-
-
-def require_alone(document: Document, what: str) -> None:
-    """Raise ValueError where a scene holds other objects, for what goes with a field alone."""
-    if document.is_staged:
-        names = listed([one.name for one in document.objects])
-        raise InputError(f"{what} goes with a field in its own place, and this session holds {names}")
 
 
 class PosedScene:
@@ -159,11 +158,9 @@ class PosedObject:
     def __init__(self, field: AnyObject):
         self.field = field
         self.deformer: Deformer | None = None  # of the last `prepare`; None where the field is shown as it is
-        self._edits: tuple[Edit, ...] = ()  # what the kept Deformers and cages are made of
-        self._kind: dict[str, Any] = {}  # the options of the Deformers, without their resolution
+        self._made_of: tuple[Any, ...] = ()  # options without the resolution and edits of the kept Deformers
         self._rest: list[Cage] = []
-        self._kept: dict[int, Deformer] = {}  # by resolution, the last used one at the end
-        self._posed: dict[int, list[np.ndarray]] = {}  # the vertices that each of them is posed with
+        self._kept: LRUCache[HeldPose] = LRUCache(KEPT_DEFORMERS)  # by resolution
 
     def prepare(self, edits: Sequence[Edit], settings: Settings, resolution: int | None = None) -> None:
         """Pose the field by edits; where that fails, the pose before stays; see `PosedScene.prepare`."""
@@ -172,32 +169,15 @@ class PosedObject:
             self.deformer = None
             return
         cells = settings.resolution if resolution is None else resolution
-        settings = dataclasses.replace(settings, resolution=cells)
-        options = settings.deformer_options(cells)
-        kind = options | {"resolution": None}
-        same = kind == self._kind and _same_rest(edits, self._edits)
-        rest = self._rest if same else [Cage(edit.rest, edit.faces) for edit in edits]
-        posed = [
-            None if edit.kind == "remove" else cage.with_vertices(edit.posed)
-            for edit, cage in zip(edits, rest, strict=True)
-        ]
-        kept = self._kept if same else {}
-        deformer = kept.get(cells)
-        vertices = [edit.posed for edit in edits]
-        if deformer is None:
-            deformer = Deformer(self.field, self._cage_edits(edits, rest), **options)
-            _pose(deformer, edits, posed)
-        elif not _same_arrays(vertices, self._posed.get(cells, [])):
-            self._posed.pop(cells, None)
-            _pose(deformer, edits, posed)
-        if not same:
-            self._kept, self._posed = {}, {}
-        self._edits, self._kind, self._rest, self.deformer = edits, kind, rest, deformer
-        self._kept.pop(cells, None)
-        self._kept[cells], self._posed[cells] = deformer, vertices
-        while len(self._kept) > KEPT_DEFORMERS:
-            oldest = next(iter(self._kept))
-            del self._kept[oldest], self._posed[oldest]
+        options = dataclasses.replace(settings, resolution=cells).deformer_options(cells)
+        made_of, rest, kept = (options | {"resolution": None}, *map(_made_of, edits)), self._rest, self._kept
+        if not same(made_of, self._made_of):
+            rest, kept = [Cage(edit.rest, edit.faces) for edit in edits], LRUCache(KEPT_DEFORMERS)
+        pairs = zip(edits, rest, strict=True)
+        posed = [None if edit.kind == "remove" else cage.with_vertices(edit.posed) for edit, cage in pairs]
+        held = kept.get(cells, lambda: HeldPose(Deformer(self.field, self._cage_edits(edits, rest), **options)))
+        held.pose(posed, [f"the posed cage of {edit.name!r}" for edit in edits])
+        self._made_of, self._rest, self._kept, self.deformer = made_of, rest, kept, held.deformer
 
     def render(self, camera: Camera, look: Look) -> Frame:
         """The view of a camera of what was posed last, or of the field itself."""
@@ -223,44 +203,16 @@ class PosedObject:
         return made
 
 
-def _pose(deformer: Deformer, edits: Sequence[Edit], posed: list[Cage | None]) -> None:
-    """Pose a Deformer, or say which edit cannot be posed."""
-    for edit, cage in zip(edits, posed, strict=True):
-        if cage is not None:
-            require_usable(cage, f"the posed cage of {edit.name!r}")
-    deformer.pose(posed)
-
-
-def _same_rest(edits: Sequence[Edit], others: Sequence[Edit]) -> bool:
-    """Whether a Deformer of some edits is a Deformer of others too."""
-
-    def kinds(of: Sequence[Edit]) -> list[tuple]:
-        return [(edit.kind, edit.falloff, edit.held, edit.fragments) for edit in of]
-
-    return kinds(edits) == kinds(others) and _same_arrays(
-        [array for edit in edits for array in (edit.faces, edit.rest)],
-        [array for edit in others for array in (edit.faces, edit.rest)],
-    )
-
-
-def _same_arrays(arrays: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
-    """Whether arrays hold the same. Documents share most of them, and those need no look."""
-    return len(arrays) == len(others) and all(
-        one is two or np.array_equal(one, two) for one, two in zip(arrays, others, strict=True)
-    )
+def _made_of(edit: Edit) -> tuple[Any, ...]:
+    """What a Deformer is made of."""
+    return edit.kind, edit.falloff, edit.held, edit.fragments, edit.faces, edit.rest
 
 
 def same_pose(one: Document, two: Document) -> bool:
-    """Whether two documents pose the scene alike. They share what did not change, so a look at each array is enough."""
-    return (
-        one.settings.mode == two.settings.mode
-        and one.settings.deformer_options(0) == two.settings.deformer_options(0)
-        and len(one.edits) == len(two.edits)
-        and all(
-            a.posed is b.posed
-            and a.rest is b.rest
-            and (a.kind, a.visible, a.falloff, a.held) == (b.kind, b.visible, b.falloff, b.held)
-            and a.fragments == b.fragments
-            for a, b in zip(one.edits, two.edits, strict=True)
-        )
-    )
+    """Whether two documents pose the scene alike."""
+
+    def pose(document: Document) -> tuple[Any, ...]:
+        edits = tuple((edit.visible, edit.posed, *_made_of(edit)) for edit in document.edits)
+        return document.settings.mode, document.settings.deformer_options(0), edits
+
+    return same(pose(one), pose(two))

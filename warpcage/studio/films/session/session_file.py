@@ -12,13 +12,13 @@ from collections.abc import Iterable
 from typing import Any
 
 from ....core.checks import listed
-from ....core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file, require_version
-from ....core.names import renamed_keys
+from ....core.files import DAMAGED, PathLike, atomic_path, errors_of, read_json, require_file, require_version
+from ....core.names import named_errors, renamed_keys
 from ....errors import InputError
 from ....splats.splat_field import AnyField
 from ..checks import MAX_LINE, MAX_NAME
 from ..document import MAIN, OLD_KEYS, Document
-from ..edits import Deformation, PosedEdit, named
+from ..edits import Deformation, PosedEdit
 
 #: Version 2 has several objects, 3 has them and fragments by these names; all are read.
 FORMAT, VERSION = "warpcage session", 3
@@ -118,7 +118,7 @@ def read_kept(path: PathLike, field: AnyField | None = None) -> tuple[Document, 
     """As `read_session`, what the file holds of its steps, see `read_history`, None where it holds nothing, and its
     exports."""
     path = require_file(path, "session file")
-    try:
+    with errors_of(path, "session file"):
         content: Any = read_json(path, "session file")
         if content.get("format") != FORMAT:
             raise InputError(f"it is no {FORMAT}")
@@ -128,10 +128,6 @@ def read_kept(path: PathLike, field: AnyField | None = None) -> tuple[Document, 
             raise InputError(f"it belongs to another field, {name}, with other bounds")
         document = _named(Document.from_json(content["document"]), content)
         return document, content.get("history"), read_exports(content.get("exports"))
-    except DAMAGED as error:
-        raise InputError(f"{path}: {damage('session file', error)}") from None
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _named(document: Document, content: Any) -> Document:
@@ -151,10 +147,8 @@ def object_name(path: PathLike) -> str:
 def is_session(path: str) -> bool:
     """Whether a file of --edits is a session of the editor. Raises for a file that is not there or no JSON."""
     file = require_file(path, "edits file")
-    try:
+    with errors_of(file, "edits file"):
         return read_json(file, "edits file").get("format") == FORMAT
-    except ValueError as error:
-        raise InputError(f"{file}: {error}") from None
 
 
 def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformation, list[str]]:
@@ -164,7 +158,7 @@ def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformat
         raise InputError(f"{path}: the session has no visible edit")
     parts = []
     for edit in visible:
-        with named(f"{path}: edit {edit.name!r}"):
+        with named_errors(f"{path}: edit {edit.name!r}"):
             cage_edit, poses = edit.cage_edit, []
             if not cage_edit.remove:
                 poses = [cage_edit.cage.with_vertices(edit.posed)]

@@ -9,7 +9,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -17,14 +17,15 @@ from ....cage.cage import Cage
 from ....cage.pose_file import PoseFile, known_easing
 from ....core.arrays import box_corners
 from ....core.checks import checked_number
-from ....core.names import MOVE_HELP
+from ....core.names import MOVE_HELP, named_errors
 from ....edits.place import PlaceFile
+from ....edits.stage_file import free_name
 from ....errors import InputError
 from ....view import motion as between
 from ....view.camera import Camera, CameraKey
-from ....view.camera_path import timed_keys
+from ....view.camera_path import timed_keys, up_frame
 from ..checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, checked_name, frozen_vertices
-from ..document import Document, Key, Timeline, View, by_time
+from ..document import FOVS, Document, Key, Timeline, View, by_time
 from ..moves import CameraMove, MovingCamera, camera_moves, within_sight
 from .scene import Fields, view_camera
 
@@ -48,9 +49,6 @@ KEYS_A_SECOND = {"hand-held": 6.0, "follow": 3.0}
 
 #: Room around what the camera of a key is made to see, as the page's "Frame all" leaves it.
 FRAME_MARGIN = 1.15
-
-#: Fields of view, degrees: a smooth way may swing beyond those of its keys.
-MIN_FOV, LARGEST_FOV = 1.0, 150.0
 
 
 def place_files(document: Document) -> dict[int, PlaceFile]:
@@ -123,8 +121,10 @@ def _moving(document: Document) -> Iterator[tuple[_Track, Callable[[float], np.n
 def document_at(document: Document, time: float) -> Document:
     """The document with the poses and the view that its film has at a time, seconds."""
     poses, view = state_at(document, time)
-    edits = tuple(dataclasses.replace(edit, posed=poses.get(edit.id, edit.posed)) for edit in document.edits)
-    return dataclasses.replace(placed_at(document, time), edits=edits, view=view or document.view, time=time)
+    now = dataclasses.replace(placed_at(document, time), view=view or document.view, time=time)
+    for number, pose in poses.items():  # as arrays of their own: pages are sent those that are new
+        now = now.with_edit(dataclasses.replace(now.edit(number), posed=frozen_vertices(pose)))
+    return now
 
 
 def looped_time(timeline: Timeline, elapsed: float) -> float:
@@ -150,10 +150,7 @@ def pose_file(document: Document, number: int) -> PoseFile:
     for key in document.timeline.keys:
         if key.poses is None or number not in key.poses:
             continue
-        name, count = key.name, 1
-        while name in file:  # a name that several keys have gets a number behind it
-            count += 1
-            name = f"{key.name} {count}"
+        name = free_name(key.name, file)
         file[name] = key.poses[number]
         file.times[name], file.easings[name] = key.time, key.easing
     if not len(file):
@@ -175,8 +172,8 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
         raise InputError(f"the pose file is of another cage than {edit.name!r}: load it with this cage")
     if not len(file) and not file.cameras:
         raise InputError("the pose file holds no keyframes")
-    keys = [_without_pose(key, number) if len(file) else key for key in document.timeline.keys]
-    keys = [dataclasses.replace(key, view=None) if file.cameras else key for key in keys]
+    others = document.with_key_poses(number, lambda pose: None) if len(file) else document
+    keys = [dataclasses.replace(key, view=None) if file.cameras else key for key in others.timeline.keys]
     keys = [key for key in keys if not key.is_empty]
     count = len(keys) + len(file) + len(file.cameras)
     if count > MAX_KEYS:
@@ -279,7 +276,7 @@ def framed_views(document: Document, fields: Fields, aspect: float) -> dict[int,
         at = seen_as(places, target)
         far = max(float(np.max(FRAME_MARGIN * np.abs(at[:, :2]) / slopes - at[:, 2:])), 1e-6)
         eye = target - far * pose[:3, 2]
-        found[key.id] = dataclasses.replace(key.view, eye=triple(eye), target=triple(target))
+        found[key.id] = array_view(eye, target, np.array(key.view.up), key.view.fov)
     return found
 
 
@@ -315,25 +312,15 @@ def view_of(key: CameraKey, middle: np.ndarray, up: Sequence[float]) -> View:
     stands = abs(given @ right) < 1e-6 and given @ upward > 1e-3
     fov = math.degrees(2.0 * math.atan(0.5 * key.camera.height / key.camera.fy))
     chosen = given if stands else upward / np.linalg.norm(upward)
-    return View(triple(eye), triple(target), triple(chosen), min(max(fov, MIN_FOV), LARGEST_FOV))
+    return array_view(eye, target, chosen, fov)
 
 
 def load_poses(document: Document, number: int, path: str) -> Document:
     """`with_pose_file` of a file on disk, matched to the edit's cage."""
     edit = document.edit(number)
     file = PoseFile.load(path, Cage(edit.rest, edit.faces))
-    try:
+    with named_errors(path):
         return with_pose_file(document, number, file)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def _without_pose(key: Key, number: int) -> Key:
-    """A key without the pose of an edit."""
-    if key.poses is None or number not in key.poses:
-        return key
-    rest = {other: vertices for other, vertices in key.poses.items() if other != number}
-    return dataclasses.replace(key, poses=rest or None)
 
 
 def _pose_tracks(document: Document) -> dict[int, list[tuple[Key, np.ndarray]]]:
@@ -367,7 +354,7 @@ def _view_track(moments: Sequence[Key]) -> list[tuple[Key, np.ndarray]]:
     views = [(key, key.view) for key in moments if key.view is not None]
     if not views:
         return []
-    frame = _frame(np.array(views[0][1].up))
+    frame = up_frame(np.array(views[0][1].up))
     offsets = np.array([np.subtract(view.eye, view.target) for _, view in views])
     distances = np.linalg.norm(offsets, axis=1)
     x, y, z = (offsets / distances[:, None] @ frame).T
@@ -390,21 +377,13 @@ def _view_at(track: Sequence[tuple[Key, np.ndarray]], time: float, closed: bool)
     target, up, fov = value[:3], value[6:9], float(value[9])
     azimuth, elevation = value[4:6].tolist()
     direction = [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
-    eye = target + math.exp(value[3]) * (_frame(np.array(first.up)) @ direction)
+    eye = target + math.exp(value[3]) * (up_frame(np.array(first.up)) @ direction)
     length = float(np.linalg.norm(up))
     up = up / length if length > 1e-9 else np.array(held.up)  # half-way between opposite ones
-    return View(triple(eye), triple(target), triple(up), min(max(fov, MIN_FOV), LARGEST_FOV))
+    return array_view(eye, target, up, fov)
 
 
-def _frame(up: np.ndarray) -> np.ndarray:
-    """(3, 3) columns: two directions across `up`, and `up`."""
-    side = np.eye(3)[int(np.argmin(np.abs(up)))]
-    across = np.cross(up, side)
-    across /= np.linalg.norm(across)
-    return np.stack([across, np.cross(up, across), up], axis=1)
-
-
-def triple(values: np.ndarray) -> tuple[float, float, float]:
-    """Three numbers of an array (3,), as a view holds them."""
-    x, y, z = values.tolist()
-    return x, y, z
+def array_view(eye: np.ndarray, target: np.ndarray, up: np.ndarray, fov: float = View.fov) -> View:
+    """The view of arrays (3,); its field of view may have swung beyond those that there are."""
+    triples: list[Any] = [tuple(each.tolist()) for each in (eye, target, up)]
+    return View(*triples, fov=min(max(fov, FOVS[0]), FOVS[1]))

@@ -35,13 +35,12 @@ BAD_INPUT += (FileNotFoundError, IsADirectoryError, NotADirectoryError)
 #: Chunks of a worker: one of which it makes items, the others while their last files are being written.
 MAX_CHUNKS = 2
 
-#: Calls that a worker answers at once: one a chunk, one that answers when all items are begun, and one that shortens a
-#: chunk or lists items.
+#: Calls that a worker answers at once: one a chunk, and those that shorten one or look at its items.
 MAX_CALLS = MAX_CHUNKS + 2
 
 
 class Maker(Protocol):
-    """Makes items: `batch.worker.Worker`, or what stands for it in tests."""
+    """Makes items: `jobs.worker.Worker`, or what stands for it in tests."""
 
     def submit(self, item: Item, out: str | os.PathLike[str] | None = None) -> Future[dict[str, int]]:
         """Make an item; its files may be written while the next one is made. out: where, instead of the run's folder.
@@ -109,32 +108,26 @@ class ChunkUnderWay:
     def __init__(self, order: Chunk):
         self.order, self.report = order, ChunkReport()
         self.waiting: collections.deque[int] = collections.deque(range(len(order.lines)))  # places that were not begun
-        self.line: collections.deque[_UnderWay] = collections.deque()  # made and not settled, in that order
-        self.making: _UnderWay | None = None
+        self.line: collections.deque[_UnderWay] = collections.deque()  # begun and not settled, in that order
 
 
+@dataclasses.dataclass(eq=False)
 class ChunkRunner:
     """Makes the items of chunks, and notes what became of each.
-    `begin` makes, in one thread at a time; `settle` waits for files and notes, in any, maybe while the next is made."""
+    `begin` makes, of one chunk at a time; `settle` waits for files and notes, in any, maybe while the next is made."""
 
-    def __init__(
-        self,
-        maker: Maker,
-        read: Callable[[bytes, int], Item],
-        fingerprint: Callable[[Item], str],  # the hash of an item's inputs, as they are before it is made
-        notes: Notes,
-        place: Mapping[str, str],  # device, worker and host, for the records
-        *,
-        retries: int = 2,
-        check_device: Callable[[], None] = lambda: None,  # raises if the device is lost, after errors not of the input
-        out: pathlib.Path | None = None,  # folder of the run, where there are shards
-    ):
-        self._maker, self._read, self._fingerprint, self._notes, self._place = maker, read, fingerprint, notes, place
-        self._retries, self._check_device, self._out = retries, check_device, out
-        self._making, self._lock = threading.Lock(), threading.Lock()
-        self._made = threading.Condition(self._lock)
-        self._chunks: dict[int, ChunkUnderWay] = {}
-        self._newest_made = 0  # number of the newest chunk whose items are all begun
+    maker: Maker
+    read: ItemReader
+    fingerprint: Callable[[Item], str]  # the hash of an item's inputs, as they are before it is made
+    notes: Notes
+    place: Mapping[str, str]  # device, worker and host, for the records
+    _: dataclasses.KW_ONLY
+    retries: int = 2
+    check_device: Callable[[], None] = lambda: None  # raises if the device is lost, after errors not of the input
+    out: pathlib.Path | None = None  # folder of the run, where there are shards
+
+    def __post_init__(self) -> None:
+        self._lock, self._chunks = threading.Lock(), dict[int, ChunkUnderWay]()
         self._stopped = False
         self._settled_at = 0.0  # when the newest item was
         self._group: str | None = None
@@ -142,36 +135,31 @@ class ChunkRunner:
 
     def run(self, order: Chunk) -> ChunkReport:
         """Make a chunk; returns what became of its items."""
-        return self.settle(self.begin(order))
+        self.begin(order)
+        return self.settle(order.number)
 
-    def begin(self, order: Chunk) -> ChunkUnderWay:
-        """Make the items of a chunk, or pack its shard; files may be written until `settle` has it."""
-        chunk = ChunkUnderWay(order)
-        with self._making:
-            with self._lock:
-                self._chunks[order.number] = chunk
-            try:
-                self._make(chunk)
-            except BaseException:  # an interrupt too
-                self.settle(chunk)
-                raise
-            finally:
-                with self._made:
-                    self._newest_made = order.number
-                    self._made.notify_all()
-        return chunk
+    def begin(self, order: Chunk) -> None:
+        """Begin the items of a chunk, or pack its shard; files may be written until `settle` has returned."""
+        with self._lock:
+            chunk = self._chunks[order.number] = ChunkUnderWay(order)
+        try:
+            self._make(chunk)
+        except BaseException:  # an interrupt too
+            self.settle(order.number)
+            raise
 
-    def settle(self, chunk: ChunkUnderWay) -> ChunkReport:
-        """Wait for the files of a chunk that `begin` returned, and note what became of its items."""
-        report = chunk.report
+    def settle(self, number: int) -> ChunkReport:
+        """Wait for the files of a chunk whose items are begun, and note what became of them."""
+        chunk = self._chunks[number]
         try:
             while chunk.line:
-                self._settle(chunk, chunk.line[0])
+                self._settle(chunk)
         finally:  # also at an interrupt: what is being written is noted once it is there
             while chunk.line:
-                self._settle(chunk, chunk.line[0])
+                self._settle(chunk)
         with self._lock:
-            self._chunks.pop(chunk.order.number, None)
+            del self._chunks[number]
+        report = chunk.report
         settled = {*report.done, *(index for index, _ in [*report.failed, *report.errors])}
         report.left = [index for index in chunk.order.items if index not in settled]
         return report
@@ -179,11 +167,6 @@ class ChunkRunner:
     def facts(self) -> dict[str, Any]:
         """Which process it is."""
         return {"pid": os.getpid(), "host": platform.node()}
-
-    def begun(self, number: int) -> None:
-        """Wait until all items of a chunk, which may not be here yet, are begun or will not be. Any thread may call."""
-        with self._made:
-            self._made.wait_for(lambda: self._newest_made >= number)
 
     def recall(self, number: int, share: float) -> list[int]:
         """Give back a share of the items of a chunk that were not begun, from its end: their numbers in the job file.
@@ -195,13 +178,12 @@ class ChunkRunner:
             back = [chunk.waiting.pop() for _ in range(math.ceil(share * len(chunk.waiting)))]
             return [chunk.order.items[place] for place in reversed(back)]
 
-    def oldest(self, number: int) -> tuple[int, float] | None:
-        """The item of a chunk that has been under way longest, by its number in the job file, and its seconds so far.
-        None where none is under way, or for a chunk that is not. Any thread may call it while a chunk runs."""
+    def oldest(self) -> tuple[int, float] | None:
+        """The item that has been under way longest, by its number in the job file, and its seconds so far; None where
+        none is under way. Any thread may call it."""
         with self._lock:
-            chunk = self._chunks.get(number)
-            made = () if chunk is None else (*chunk.line, chunk.making)
-            first = next((each for each in made if each is not None and not each.future.done()), None)
+            under_way = (made for chunk in self._chunks.values() for made in chunk.line if not made.future.done())
+            first = next(under_way, None)
         return None if first is None else (first.index, time.perf_counter() - first.begun)
 
     def stop(self) -> None:
@@ -222,57 +204,54 @@ class ChunkRunner:
                 return
             self._begin(chunk, place)
             while chunk.line and chunk.line[0].future.done():
-                self._settle(chunk, chunk.line[0])
+                self._settle(chunk)
 
     def _begin(self, chunk: ChunkUnderWay, place: int) -> None:
         """Make an item as far as this thread does it."""
         order, report = chunk.order, chunk.report
-        item = self._read(*order.lines[place])
+        item = self.read(*order.lines[place])
         if not self._noted({"id": item.id, "state": STARTED, "lot": order.number}, report):
             return
         report.loading |= not place and item.group != self._group
         made = _UnderWay(item, order.items[place], order.attempts[place], time.perf_counter())
-        chunk.making = made
-        try:
-            made.inputs = self._fingerprint(item)
-            # items of a shard stand in a folder of their own until it is packed
-            stage = None if order.shard is None or self._out is None else shard_stage(self._out, order.shard)
-            made.future = self._maker.submit(item, stage)
-        except Exception as error:
-            made.future.set_exception(error)
-        self._group = item.group
         with self._lock:
             chunk.line.append(made)
-            chunk.making = None
-
-    def _settle(self, chunk: ChunkUnderWay, made: _UnderWay) -> None:
-        """Note what became of the first item in the line of a chunk."""
-        report, error, sizes = chunk.report, None, {}
         try:
-            sizes = made.future.result()
-        except Exception as failure:
-            error = failure
+            made.inputs = self.fingerprint(item)
+            # items of a shard stand in a folder of their own until it is packed
+            stage = None if order.shard is None or self.out is None else shard_stage(self.out, order.shard)
+            made.future = self.maker.submit(item, stage)
+        except Exception as error:
+            made.future.set_exception(error)
+        except BaseException:
+            chunk.line.pop()
+            raise
+        self._group = item.group
+
+    def _settle(self, chunk: ChunkUnderWay) -> None:
+        """Note what became of the first item in the line of a chunk."""
+        made, report = chunk.line[0], chunk.report
+        error = made.future.exception()
         with self._lock:
             chunk.line.popleft()
             now = time.perf_counter()
             seconds = now - max(made.begun, self._settled_at)  # of items that overlap, what each adds
             self._settled_at = now
-        if error is not None and leaves_no_room(error):
-            self._halt(report, error)
+        if error is not None and self._ends(report, error):
             return
         record: dict[str, Any] = {
             "id": made.item.id,
             "state": DONE,
             "inputs": made.inputs,
-            "outputs": sizes,
+            "outputs": made.future.result() if error is None else {},
             "kind": made.item.kind,
             "seconds": round(seconds, 4),
-            **self._place,
+            **self.place,
             "attempts": made.attempts + 1,
             "version": __version__,
             "finished": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="milliseconds"),
         }
-        final = isinstance(error, BAD_INPUT) or made.attempts >= self._retries
+        final = isinstance(error, BAD_INPUT) or made.attempts >= self.retries
         if error is not None:
             record |= {"state": FAILED if final else ERROR, "error": error_line(error, named=True)}
         if not self._noted(record, report):
@@ -284,41 +263,38 @@ class ChunkRunner:
         (report.failed if final else report.errors).append((made.index, error_line(error, named=True)))
         if not isinstance(error, BAD_INPUT) and report.broken is None:
             try:
-                self._check_device()
+                self.check_device()
             except Exception as failure:  # whatever the device says, it is lost to this process
                 report.broken = error_line(failure, named=True)
                 self.stop()
 
-    def _halt(self, report: ChunkReport, error: BaseException) -> None:
-        """Begin nothing more, as nothing can be written."""
-        report.halt = report.halt or error_line(error, named=True)
-        self.stop()
+    def _ends(self, report: ChunkReport, error: BaseException) -> bool:
+        """Whether an error ends a chunk, as nothing can be written any more; nothing more is begun then."""
+        if leaves_no_room(error):
+            report.halt = report.halt or error_line(error, named=True)
+            self.stop()
+        return leaves_no_room(error)
 
     def _noted(self, record: dict[str, Any], report: ChunkReport) -> bool:
         """Append to the notes; False where there is no room for that, which ends the chunk."""
         try:
-            self._notes.append(record)
+            self.notes.append(record)
         except OSError as error:
-            if not leaves_no_room(error):
+            if not self._ends(report, error):
                 raise
-            self._halt(report, error)
             return False
         return True
 
     def _pack(self, order: Chunk, report: ChunkReport) -> None:
-        assert self._out is not None and order.shard is not None and order.packed is not None
+        assert self.out is not None and order.shard is not None and order.packed is not None
         try:
-            pack_shard(self._out, order.shard, [{"outputs": outputs} for outputs in order.packed])
+            pack_shard(self.out, order.shard, [{"outputs": outputs} for outputs in order.packed])
         except Exception as error:
-            if leaves_no_room(error):
-                self._halt(report, error)
-            else:
+            if not self._ends(report, error):
                 report.pack_error = error_line(error, named=True)
 
     def close(self) -> None:
         """End the maker's threads, and close the notes."""
-        self._maker.close()
-        self._notes.close()
         self.held.close()
 
 
@@ -329,10 +305,9 @@ class RunnerSettings:
     base: str  # folder of the job file
     reader: ItemReader
     out: str
-    run: str  # of which run its notes are
+    notes: str  # name of its file of notes; of all workers that of the run, with which these begin
     device: str | None = None  # Warp device; None is the first GPU, or the CPU
     worker: str = "0"
-    notes: str = ""  # name of its file of notes
     retries: int = 2
     threads: int = 0  # for kernels on the CPU; 0 is what there is
     maker: Callable[[str, str, Any], Maker] | None = None  # of base, out and device; None is `Worker`
@@ -359,12 +334,14 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
         make = Worker
 
     check_device(device)
-    maker = make(settings.base, settings.out, device)
+    maker, notes = make(settings.base, settings.out, device), folder.new_notes(settings.notes)
+    for each in (notes, maker):  # which is closed first
+        held.callback(each.close)
     runner = ChunkRunner(
         maker,
-        settings.reader.item,
+        settings.reader,
         Fingerprints(settings.base, settings.out).of,
-        folder.new_notes(settings.notes or f"{settings.run}-{settings.worker}"),
+        notes,
         {"device": device.name, "worker": settings.worker, "host": platform.node()},
         retries=settings.retries,
         check_device=lambda: check_device(device),
@@ -394,14 +371,7 @@ class RunJournal:
 
     def __init__(self, job: JobFile, folder: OutputFolder):
         self._job, self._folder, self.run, self._before = job, folder, run_name(), os.stat(job.path)
-        self._shard_size, self._notes = shard_size(job), None
-
-    def __enter__(self) -> RunJournal:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._notes is not None:
-            self._notes.close()
+        self._shard_size = shard_size(job)
 
     def order(self, chunk: Chunk) -> Chunk:
         """A chunk as it is sent. A ValueError once the job file has changed; one that is replaced is open as it was."""
@@ -420,8 +390,7 @@ class RunJournal:
     def noted(self, worker: str, start: int, chunk: Chunk) -> tuple[ChunkReport, list[int]]:
         """What a worker noted of a chunk: what it settled and what it left, and what it had begun, the newest last."""
         report = ChunkReport()
-        read = self._job.reader.item
-        indices = {read(*line).id: index for line, index in zip(chunk.lines, chunk.items, strict=True)}
+        indices = {self._job.reader(*line).id: index for line, index in zip(chunk.lines, chunk.items, strict=True)}
         path = self._folder.notes / f"{self.run}-{worker}-{start}.jsonl"
         settled, begun = notes_of_chunk(path, chunk.number)
         for record in settled:
@@ -435,10 +404,10 @@ class RunJournal:
         return report, [indices[each] for each in begun]
 
     def lost(self, item: int, error: str, attempts: int) -> None:
-        self._notes = self._notes or self._folder.new_notes(f"{self.run}-driver")
         found = self._job.item(item)
         record = {"id": found.id, "state": FAILED, "kind": found.kind, "attempts": attempts, "error": error}
-        self._notes.append(record)
+        with contextlib.closing(self._folder.new_notes(f"{self.run}-driver")) as notes:
+            notes.append(record)
 
     def _packed(self, shard: int) -> list[dict[str, str]]:
         """The outputs of all items of a shard that are there: what was to be made of it is settled."""

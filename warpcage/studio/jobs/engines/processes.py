@@ -6,10 +6,10 @@ import contextlib
 import dataclasses
 import logging
 import os
+import pickle
 import queue
 import signal
 import socket
-import threading
 import time
 import types
 from collections.abc import Callable, Iterator
@@ -22,7 +22,7 @@ from ....core.devices import start_warp
 from ....core.names import error_line, extra_line
 from ....core.threads import cpu_threads
 from ....errors import InputError, MissingPackageError, StateError
-from .chunk_runner import MAX_CALLS, MAX_CHUNKS, ChunkUnderWay, RunnerSettings, make_runner
+from .chunk_runner import MAX_CALLS, MAX_CHUNKS, RunnerSettings, make_runner
 from .serving import LocalProcess, process_of
 
 
@@ -73,7 +73,8 @@ class ThisProcess(Host):
         self.share = Share(1, 0, 0, 0, device)
         self._runner: Any = None
         self._settling = ThreadPoolExecutor(MAX_CHUNKS, "warpcage-settling")
-        self._calls: dict[str, tuple[Any, Future[Any]]] = {}
+        self._next: tuple[Any, Future[Any]] | None = None  # the chunk that is to be begun
+        self._slow = False  # whether the items of the newest chunk were
 
     def start(self, settings: RunnerSettings) -> ThisProcess:
         if self._runner is not None:  # a device that is lost stays so in this process
@@ -82,30 +83,23 @@ class ThisProcess(Host):
         return self
 
     def ask(self, method: str, *given: Any) -> Future[Any]:
-        """Call a method of the runner; chunks are made by `work`."""
+        """Call a method of the runner; chunks are begun by `work`."""
+        if method == "settle" and not self._slow:
+            return self._settling.submit(self._runner.settle, *given)
         future: Future[Any] = Future()
-        if method in ("run", "begun"):
-            self._calls[method] = given[0], future
+        if method == "begin":
+            self._next = given[0], future
         else:
             future.set_result(getattr(self._runner, method)(*given))
         return future
 
     def work(self) -> None:
-        if "run" in self._calls:
-            (order, made), (_, begun) = self._calls.pop("run"), self._calls.pop("begun")
+        if self._next is not None:
+            (order, begun), self._next = self._next, None
             start = time.monotonic()
-            chunk = self._runner.begin(order)
-            if time.monotonic() - start > SLOW * len(order.items):
-                self._settle(chunk, made)
-            else:
-                begun.set_result(None)
-                self._settling.submit(self._settle, chunk, made)
-
-    def _settle(self, chunk: ChunkUnderWay, made: Future[Any]) -> None:
-        try:
-            made.set_result(self._runner.settle(chunk))
-        except BaseException as error:
-            made.set_exception(error)
+            self._runner.begin(order)
+            self._slow = time.monotonic() - start > SLOW * len(order.items)
+            begun.set_result(None)
 
     def death_line(self, error: BaseException) -> str:
         raise error
@@ -139,7 +133,7 @@ class LocalHost(Host):
 
     def start(self, settings: RunnerSettings) -> LocalProcess:
         process = process_of(self.share.workers, int(settings.worker), self._device)
-        process.send(settings)
+        process.send(pickle.dumps(settings))  # what its maker imports may fail, which is reported then
         return process
 
 
@@ -158,20 +152,14 @@ def _count_gpus() -> int:
 CONNECT = 10.0
 
 
-def load_ray() -> types.ModuleType:
-    """Ray, which only clusters need."""
+@contextlib.contextmanager
+def ray_session(cluster: str) -> Iterator[types.ModuleType]:
+    """Ray, connected to the cluster at an address; a connection that the program itself has is used as it is."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no reports of usage
     try:
         import ray
     except ImportError:
         raise MissingPackageError(f"--cluster needs Ray: {extra_line('cluster')}") from None
-    return ray
-
-
-@contextlib.contextmanager
-def ray_session(cluster: str) -> Iterator[types.ModuleType]:
-    """Ray, connected to the cluster at an address; a connection that the program itself has is used as it is."""
-    ray = load_ray()
     if ray.is_initialized():
         yield ray
         return
@@ -211,14 +199,12 @@ def _require_answer(address: str) -> None:
 @contextlib.contextmanager
 def _signals_kept() -> Iterator[None]:
     """Ray puts a handler of its own in the place of that for SIGTERM, which ends the process at once."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     before = signal.getsignal(signal.SIGTERM)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        with contextlib.suppress(ValueError):  # another thread, in which Ray puts none
+            signal.signal(signal.SIGTERM, before)
 
 
 @dataclasses.dataclass(eq=False)
@@ -325,7 +311,7 @@ class ProcessEngine:
 
     def start(self, worker: str, start: int) -> None:
         """Start the process of a worker, for the time `start` from 1; the answer of "facts" says that it has."""
-        notes = f"{self.settings.run}-{worker}-{start}"
+        notes = f"{self.settings.notes}-{worker}-{start}"
         settings = dataclasses.replace(self.settings, worker=worker, notes=notes)
         self._processes[worker] = self._host.start(settings)
         self.submit(worker, "facts")
@@ -333,7 +319,7 @@ class ProcessEngine:
     def submit(self, worker: str, method: str, *given: Any) -> None:
         """Call a method of its runner; the answer comes into the queue from another thread."""
         process, answers = self._processes[worker], self._answers
-        number = given[0].number if method == "run" else given[0] if given else 0
+        number = getattr(given[0], "number", given[0]) if given else 0
         process.ask(method, *given).add_done_callback(
             lambda answer: answers.put((worker, process, method, number, answer))
         )

@@ -42,13 +42,13 @@ class LocalProcess:
             env=os.environ | (gpu_of(number) if workers > 1 and device != "cpu" else {}),
             start_new_session=True,  # Ctrl-C is for the driver, which lets it end what it has begun
         )
-        self._lock, self._numbers, self._ended = threading.Lock(), itertools.count(), ""
+        self._numbers, self._ended = itertools.count(), ""
         self._waiting: dict[int, Future[Any]] = {}
         self._sender = ThreadPoolExecutor(1, "warpcage-process")  # a process that hangs reads nothing
         threading.Thread(target=self._receive, name="warpcage-process", daemon=True).start()
 
     def send(self, content: Any) -> None:
-        """Send an object, the settings of its worker first; nothing to a process that has ended."""
+        """Send an object, the settings of its worker, pickled, first; nothing to a process that has ended."""
         message = pickle.dumps(content)
         if not self._ended:
             with contextlib.suppress(RuntimeError):  # it ended just now
@@ -56,14 +56,10 @@ class LocalProcess:
 
     def ask(self, method: str, *given: Any) -> Future[Any]:
         """Call a method of the worker's runner; the answer comes later."""
-        future: Future[Any] = Future()
-        with self._lock:
-            number, ended = next(self._numbers), self._ended
-            if not ended:
-                self._waiting[number] = future
-        if ended:
-            future.set_exception(WorkerDied(ended))
+        number, future = next(self._numbers), Future[Any]()
+        self._waiting[number] = future
         self.send((number, method, given))
+        self._end_calls()
         return future
 
     def kill(self) -> None:
@@ -79,21 +75,24 @@ class LocalProcess:
         """Receive answers, in a thread, until the process ends."""
         assert self._process.stdout is not None and self._process.stdin is not None
         with self._process.stdout as pipe, self._stderr:
-            while (answer := read_message(pipe)) is not None:
-                number, error, found = pickle.loads(answer)
+            while (answer := received(pipe)) is not None:
+                number, error, found = answer
                 future = self._waiting.pop(number)
                 if error is None:
                     future.set_result(found)
                 else:
                     future.set_exception(WorkerDied(error))
-            line = self._last_line(self._process.wait())
-        with self._lock:
-            self._ended = line
-        for future in self._waiting.values():
-            future.set_exception(WorkerDied(line))
+            self._ended = self._last_line(self._process.wait())
+        self._end_calls()
         self._sender.shutdown()
         with contextlib.suppress(OSError):
             self._process.stdin.close()
+
+    def _end_calls(self) -> None:
+        """Let calls fail that a process that has ended does not answer; any thread may call it."""
+        while self._ended and self._waiting:
+            with contextlib.suppress(KeyError):  # another thread took it
+                self._waiting.popitem()[1].set_exception(WorkerDied(self._ended))
 
     def _last_line(self, status: int) -> str:
         """Why the process ended; status: negative is a signal."""
@@ -140,16 +139,15 @@ def process_of(workers: int, number: int, device: str | None) -> LocalProcess:
     return _early.pop(key, None) or LocalProcess(*key)
 
 
-def read_message(pipe: Any) -> bytes | None:
-    """The next message of a pipe; None where it has ended, also in the midst of one."""
-    size = int.from_bytes(pipe.read(8), "little")
-    found = pipe.read(size)
-    return found if size and len(found) == size else None
+def received(pipe: Any) -> Any:
+    """The next object of a pipe; None where it has ended, also in the midst of one."""
+    with contextlib.suppress(EOFError, pickle.UnpicklingError):
+        return pickle.load(pipe)
 
 
 def write_message(pipe: Any, message: bytes) -> None:
-    """Write a message into a pipe."""
-    pipe.write(len(message).to_bytes(8, "little") + message)
+    """Write a pickled object into a pipe."""
+    pipe.write(message)
     pipe.flush()
 
 
@@ -167,7 +165,7 @@ def serve(loads: bool, device: str | None) -> None:
             from .chunk_runner import check_device
 
             check_device(resolve_device(device))
-    settings = read_message(calls)
+    settings = received(calls)
     if settings is None:
         return
     from ....core.names import error_line
@@ -187,6 +185,6 @@ def serve(loads: bool, device: str | None) -> None:
         with lock:
             write_message(answers, message)
 
-    while (call := read_message(calls)) is not None:
-        pool.submit(answer, *pickle.loads(call))
+    while (call := received(calls)) is not None:
+        pool.submit(answer, *call)
     os._exit(0)  # its driver is gone
