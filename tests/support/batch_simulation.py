@@ -108,7 +108,7 @@ class SimulatedEngine:
 
     def submit(self, worker: str, method: str, *given) -> None:
         """A worker gets a chunk, is asked for items, or is stopped."""
-        if method == "run":
+        if method in ("run", "begin"):
             (chunk,) = given
             self.spend(self.conditions.send_cost, len(chunk.items))
             self.chunks += 1
@@ -116,7 +116,7 @@ class SimulatedEngine:
         elif method == "recall":
             self.recall(worker, *given)
         elif method == "oldest":
-            self.reply(worker, method, given[0], self.oldest(worker, *given))
+            self.reply(worker, method, 0, self.oldest(worker))
         elif method == "stop":
             there = self.time + self.conditions.latency
             self.spend(self.conditions.send_cost, 0)
@@ -134,12 +134,12 @@ class SimulatedEngine:
             back = self.shorten(worker, work, len(work.items) - math.ceil(share * waiting))
         self.reply(worker, "recall", number, back)
 
-    def oldest(self, worker: str, number: int) -> tuple[int, float] | None:
-        """The item of a chunk that is under way for longest, and how long."""
+    def oldest(self, worker: str) -> tuple[int, float] | None:
+        """The item that is under way for longest, and how long."""
         there, writing = self.time + self.conditions.latency, self.conditions.write_seconds
         for work in self.works.get(worker, []):
             under_way = (work.starts <= there) & (work.ends + writing > there)
-            if work.chunk.number == number and under_way.any():
+            if under_way.any():
                 place = int(np.argmax(under_way))
                 return work.items[place], there - float(work.starts[place])
         return None
@@ -236,7 +236,7 @@ class SimulatedEngine:
             return Answer(worker, "run", work.chunk.number, None, "killed")
         if what == "begun":
             work.begun = True
-            return Answer(worker, "begun", work.chunk.number, None) if self.conditions.overlapping else None
+            return Answer(worker, "begin", work.chunk.number, None) if self.conditions.overlapping else None
         works.remove(work)
         report = self.report(work, len(work.items))
         report.broken = "device lost" if worker in self.broken else None

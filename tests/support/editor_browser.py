@@ -21,18 +21,12 @@ pytest.importorskip("aiohttp")
 pytest.importorskip("simplejpeg")
 
 from editor_pages import tiny_field
-from page_probe import drag, pointer, projected
+from page_probe import drag, pointer, press, projected
 
 import warpcage
 
 #: Seconds that anything may take before it counts as not happening. Nothing waits longer than it must.
 PATIENCE = 120.0
-
-#: Numbers of keys that are held with another one, and of keys with a name, and the text that these write.
-HELD = {"Alt": 1, "Ctrl": 2, "Shift": 8}
-KEYS = {"Tab": (9, ""), "Enter": (13, "\r"), "Escape": (27, ""), "Space": (32, " "), "End": (35, ""), "Home": (36, "")}
-KEYS |= {"ArrowLeft": (37, ""), "ArrowUp": (38, ""), "ArrowRight": (39, ""), "ArrowDown": (40, ""), "Delete": (46, "")}
-KEYS |= {".": (190, "."), "-": (189, "-"), "]": (221, "]"), "[": (219, "[")}
 
 #: What is on the page and takes the pointer; whether its middle keeps its place for two frames with nothing over it.
 PLACE = """
@@ -65,14 +59,12 @@ class Window:
     """One window of a browser at the editor's page.
 
     Args:
-        driver: Of `page_probe.chromium`.
+        driver: Of `page_probe.chromium`, at the window.
         address: Of the editor.
-        handle: The window. None is the one that the driver is at.
     """
 
-    def __init__(self, driver: Any, address: str, handle: str | None = None) -> None:
-        self.driver, self.address = driver, address
-        self.handle = handle or driver.current_window_handle
+    def __init__(self, driver: Any, address: str) -> None:
+        self.driver, self.address, self.handle = driver, address, driver.current_window_handle
         self.open()
 
     def open(self, address: str | None = None) -> None:
@@ -114,11 +106,6 @@ class Window:
         """All that pages of one session share."""
         names = ("edits", "selection", "settings", "view", "timeline", "playback", "history")
         return {name: self.section(name) for name in names}
-
-    def edit(self, number: int = 1) -> dict[str, Any]:
-        """An edit, as this page has it."""
-        (found,) = (edit for edit in self.section("edits") if edit["id"] == number)
-        return found
 
     def posed(self, number: int = 1) -> np.ndarray:
         """(v, 3) what this page draws as the posed cage of an edit."""
@@ -167,7 +154,7 @@ class Window:
 
     # -- Pointing
 
-    def click(self, selector: str, *, twice: bool = False) -> None:
+    def click(self, selector: str) -> None:
         """Click an element with the mouse; it must be there and nothing may lie over it."""
 
         def look() -> Any:
@@ -175,10 +162,7 @@ class Window:
             return place if place and place["free"] else None
 
         place = until(look, f"{selector} can be clicked", 20.0)
-        for count in range(1, 2 + twice):
-            pointer(self.driver, "mouseMoved", place["x"], place["y"])
-            pointer(self.driver, "mousePressed", place["x"], place["y"], button="left", clickCount=count)
-            pointer(self.driver, "mouseReleased", place["x"], place["y"], button="left", clickCount=count)
+        self.drag([(place["x"], place["y"])])
 
     def confirm(self) -> None:
         """Confirm the dialog and wait until it is gone, which is when the server has answered."""
@@ -209,17 +193,8 @@ class Window:
     # -- Typing
 
     def press(self, *strokes: str) -> None:
-        """Press keys, each "G", "Ctrl+Z", "Enter", "ArrowLeft", "Tab" and the like, at what has the focus."""
-        for stroke in strokes:
-            *names, key = stroke.split("+")
-            held = sum(HELD[name] for name in names)
-            number, text = KEYS.get(key, (ord(key[0].upper()), key.upper() if held & 8 else key.lower()))
-            code = f"Key{key}" if len(key) == 1 and key.isalpha() else f"Digit{key}" if key.isdigit() else key
-            event: dict[str, Any] = {"key": text if len(key) == 1 else " " if key == "Space" else key, "code": code}
-            event |= {"modifiers": held, "windowsVirtualKeyCode": number}
-            said = {"text": text} if text and not held & 7 else {}
-            self.driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": "keyDown", **event, **said})
-            self.driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": "keyUp", **event})
+        """Press keys at what has the focus; see `page_probe.press`."""
+        press(self.driver, *strokes)
 
     def type(self, text: str) -> None:
         """Type a text at what has the focus; a line's end is Enter."""

@@ -29,6 +29,14 @@ def tiny_field():
     return VoxelField.from_dense(np.where(x**2 + y**2 + z**2 < 0.3, 40.0, 0.0), sh, [[-1, -1, -1], [1, 1, 1]])
 
 
+def green_field():
+    """The ball, green all over."""
+    ball = tiny_field()
+    colors = np.zeros_like(harmonics_on_host(ball.grid.sh))
+    colors[:, 0] = (-1.5, 1.5, -1.5)
+    return VoxelField(ball.bounds, ball.grid.links, ball.grid.density, colors)
+
+
 def layered_field():
     """The ball before a background of one colour, in layers."""
     ball, side = tiny_field(), 8
@@ -172,11 +180,12 @@ def strict_json(text):
 
 @contextlib.asynccontextmanager
 async def pages(server, count=1, size=(24, 16), **options):
-    """Pages that are connected to a server."""
+    """Pages that are connected to a server, or to an address."""
+    address = getattr(server, "address", server)
     async with aiohttp.ClientSession() as http:
         opened = []
         for _ in range(count):
-            socket = await http.ws_connect(server.address + "socket", max_msg_size=0)
+            socket = await http.ws_connect(address + "socket", max_msg_size=0)
             opened.append(Page(socket, **options))
             await opened[-1].until(lambda: opened[-1].client is not None)
             if size is not None:

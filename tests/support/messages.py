@@ -146,7 +146,6 @@ MESSAGES = {
     "surface.merged": "ball, other: meshes are not merged with fields",
     "surface.texture": "its texture 0 has no picture that can be read here",
     "view.cameras_by_name": "good.json: it holds 2 cameras: name one of 0, 1",
-    "view.frames_one_size": r"one size: frame 0 is \(4, 4, 3\), frame 1 is \(4, 4, 4\)",
     "view.gif_fps": r"\(.gif\) must be from 0.01 to 50, got 60",
     "view.gif_held": r"10 frames of a GIF, which are all held \(.mp4 holds few\), need",
     "view.gif_seconds": "frame 6 and those before it, which are equal, take 700 s",

@@ -18,16 +18,13 @@ import warpcage
 
 
 @contextmanager
-def chromium(
-    width: int = 1280, height: int = 800, *, ratio: float = 1.0, scheme: str = "light", webgl: bool = False
-) -> Iterator[Any]:
+def chromium(width: int = 1280, height: int = 800, *, ratio: float = 1.0, webgl: bool = False) -> Iterator[Any]:
     """A selenium driver of Debian's Chromium; skips, visibly, where one of the two is missing.
 
     Args:
         width: Of the page, CSS pixels.
         height: Of the page, CSS pixels.
         ratio: Device pixels of a CSS pixel.
-        scheme: light or dark.
         webgl: Whether pages have WebGL, drawn by the processor.
 
     Yields:
@@ -42,8 +39,6 @@ def chromium(
     arguments = ["--headless=new", "--no-sandbox", "--hide-scrollbars", "--disable-dev-shm-usage"]
     arguments += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"] if webgl else ["--disable-gpu"]
     arguments += [f"--force-device-scale-factor={ratio:g}", "--no-first-run", "--disable-extensions"]
-    if scheme == "dark":
-        arguments.append("--blink-settings=preferredColorScheme=0")
     for argument in arguments:
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
@@ -83,20 +78,24 @@ def drag(driver: Any, path: list[tuple[float, float]], *, button: str = "left", 
     pointer(driver, "mouseReleased", *path[-1], button=button, keys=keys)
 
 
+#: Numbers of keys that are held with another one, and of keys with a name, and the text that these write.
+HELD = {"Alt": 1, "Ctrl": 2, "Shift": 8}
+KEYS = {"Tab": (9, ""), "Enter": (13, "\r"), "Escape": (27, ""), "Space": (32, " "), "End": (35, ""), "Home": (36, "")}
+KEYS |= {"ArrowLeft": (37, ""), "ArrowUp": (38, ""), "ArrowRight": (39, ""), "ArrowDown": (40, ""), "Delete": (46, "")}
+KEYS |= {".": (190, "."), "-": (189, "-"), "]": (221, "]"), "[": (219, "[")}
+
+
 def press(driver: Any, *strokes: str) -> None:
-    """Press keys, each "G", "Ctrl+Z", "Enter", "ArrowLeft" and the like, at what has the focus."""
-    keys = {"Alt": 1, "Ctrl": 2, "Shift": 8}
-    codes = {"Enter": 13, "Escape": 27, "Tab": 9, "Backspace": 8, "Space": 32}
+    """Press keys, each "G", "Ctrl+Z", "Enter", "ArrowLeft", "Tab" and the like, at what has the focus."""
     for stroke in strokes:
-        head, _, key = stroke.rpartition("+") if not stroke.endswith("++") else (stroke[:-2], "+", "+")
-        held = sum(keys[name] for name in head.split("+") if name)
-        single = key if len(key) > 1 else key.upper() if held & 8 else key.lower()
-        code = f"Digit{key}" if key.isdigit() else f"Key{key.upper()}" if key.isalpha() and len(key) == 1 else key
-        event: dict[str, Any] = {"key": " " if key == "Space" else single, "code": code, "modifiers": held}
-        event["windowsVirtualKeyCode"] = codes.get(key, ord(key.upper()) if len(key) == 1 else 0)
-        if len(key) == 1 and not held & 3:
-            event["text"] = single
-        driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": "keyDown", **event})
+        *names, key = stroke.split("+")
+        held = sum(HELD[name] for name in names)
+        number, text = KEYS.get(key, (ord(key[0].upper()), key.upper() if held & 8 else key.lower()))
+        code = f"Key{key.upper()}" if len(key) == 1 and key.isalpha() else f"Digit{key}" if key.isdigit() else key
+        event: dict[str, Any] = {"key": text if len(key) == 1 else " " if key == "Space" else key, "code": code}
+        event |= {"modifiers": held, "windowsVirtualKeyCode": number}
+        said = {"text": text} if text and not held & 7 else {}
+        driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": "keyDown", **event, **said})
         driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": "keyUp", **event})
 
 

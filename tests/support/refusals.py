@@ -21,8 +21,8 @@ def peak_of(action, most=float("inf")):
     return peak, result
 
 
-def refused(action, *words, error=ValueError, match="", most=None):
-    """The action is refused in one line that holds all the words and a pattern, and takes at most so many bytes.
+def refused(action, *parts, error=ValueError, match="", most=None):
+    """The action is refused in one line that holds all the parts and a pattern, and takes at most so many bytes.
     Returns the line."""
     with pytest.raises(error) as caught:
         if most is None:
@@ -31,5 +31,5 @@ def refused(action, *words, error=ValueError, match="", most=None):
             peak_of(action, most)
     message = str(caught.value)
     assert isinstance(caught.value, warpcage.Error) and message and "\n" not in message, message
-    assert all(word in message for word in words) and re.search(match, message), message
+    assert all(part in message for part in parts) and re.search(match, message), message
     return message

@@ -41,13 +41,13 @@ def write_files(folder):
     return folder
 
 
-def run(files, *words):
-    """main with file names of the folder put in for {name}."""
-    return main([str(word).replace("@", f"{files}/") for word in words])
+def run(files, *argv):
+    """The exit status of a command; @name is a file of the folder."""
+    return main([str(each).replace("@", f"{files}/") for each in argv])
 
 
-def succeed(files, *words):
-    assert run(files, *words) == 0
+def succeed(files, *argv):
+    assert run(files, *argv) == 0
 
 
 CAMERA = {"eye": [2.5, 1.2, 1.0], "target": [0, 0, 0], "width": 24, "height": 20}
@@ -56,7 +56,7 @@ DEFAULTS = {"field": "ball.npz", "cage": "cage.obj", "camera": CAMERA, "coordina
 
 
 def write_frames(folder, count, name="jobs.jsonl", *, changes=None, **defaults):
-    """A job of frames, a pose each; changes: other words of some, by their number."""
+    """A job of frames, a pose each; changes: other keys of some, by their number."""
     if not (folder / "ball.npz").exists():
         folder.mkdir(exist_ok=True)
         write_files(folder)
@@ -65,14 +65,14 @@ def write_frames(folder, count, name="jobs.jsonl", *, changes=None, **defaults):
     poses = f"{pathlib.Path(name).stem}.npy"
     np.save(folder / poses, np.stack(bends))
     items = [{"id": f"shot/f{place:04d}", "posed": f"{poses}#{place}"} for place in range(count)]
-    for place, words in (changes or {}).items():
-        items[place] |= words
+    for place, keys in (changes or {}).items():
+        items[place] |= keys
     write_jobs(folder / name, items, defaults=DEFAULTS | defaults)
     return folder / name
 
 
-def write_records(folder, count, records, name="records.jsonl", **words):
-    path = write_frames(folder, count, name, **words)
+def write_records(folder, count, records, name="records.jsonl", **options):
+    path = write_frames(folder, count, name, **options)
     lines = path.read_text().splitlines()
     lines[0] = json.dumps(json.loads(lines[0]) | {"records": records})
     path.write_text("\n".join(lines) + "\n")
@@ -120,6 +120,6 @@ def without(entry, *names):
     return {name: value for name, value in entry.items() if name not in names}
 
 
-def command(*words):
-    """A command line of `warpcage`."""
-    return [sys.executable, "-m", "warpcage", *map(str, words)]
+def command(*argv):
+    """A command line of `warpcage`, in a process of its own."""
+    return [sys.executable, "-m", "warpcage", *map(str, argv)]

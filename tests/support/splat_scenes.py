@@ -26,6 +26,15 @@ def splats_in_box(device, count=200, half=0.7, scales=(-6.0, -4.0), degree=3, se
     )
 
 
+def ball_of_splats(size=0.03):
+    """400 round splats on a sphere of radius 0.5, red above and blue below."""
+    places = np.random.default_rng(0).normal(size=(400, 3))
+    places *= 0.5 / np.linalg.norm(places, axis=1, keepdims=True)
+    colors = np.where(places[:, 2:] > 0, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])[:, None]
+    turns, sizes = np.tile([1.0, 0.0, 0.0, 0.0], (400, 1)), np.full((400, 3), np.log(size))
+    return SplatField(places, sizes, turns, np.full(400, 3.0), colors, up=(0, 0, 1))
+
+
 def one_splat(device, center=(0, 0, 0), scales=(0.1, 0.1, 0.1), opacity=0.5, degree=0, quaternion=(1, 0, 0, 0)):
     """One splat of a given opacity."""
     return warpcage.SplatField(

@@ -8,11 +8,9 @@ import pytest
 import warp as wp
 from fields import BOX, OnlyDLPack, ellipsoid, make_field, plain
 from refusals import refused
-from runs import SMALL, succeed, write_files
 
 from warpcage import Cage, CageEdit, Deformer, PoseFile, PositionMap, deform_points
 from warpcage.cage import cache_poses
-from warpcage.view import read_image
 
 FIXTURES = pathlib.Path(__file__).parents[2] / "data" / "blender_motion"
 BENT = BOX.bend(25)
@@ -182,15 +180,3 @@ def test_a_damaged_cache_takes_one_line(damage, tmp_path):
     path = tmp_path / "bad.mdd"
     path.write_bytes(DAMAGES[damage])
     refused(lambda: PoseFile.load(path, BOX), match="bad.mdd")
-
-
-def test_the_command_line_reads_caches_alike(tmp_path):
-    files = write_files(tmp_path)
-    rest = Cage.load(files / "cage.obj")
-    posed = rest.translate([0.4, 0.0, 0.0])
-    PoseFile(rest, {"a": posed}).save(tmp_path / "one.pc2")
-    PoseFile(rest, {"a": posed}).save(tmp_path / "one.json")
-    for name in ("one.pc2", "one.json"):
-        arguments = ["--cage", "@cage.obj", "--posed", tmp_path / name, "--view", "front", *SMALL]
-        succeed(files, "render", "@ball.npz", "-o", tmp_path / f"{name}.png", *arguments)
-    np.testing.assert_array_equal(read_image(tmp_path / "one.pc2.png"), read_image(tmp_path / "one.json.png"))

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from fields import GridField
 from refusals import refused
-from runs import run, succeed
+from runs import succeed
 from scenes import BALL, LAMP, TableScene
 
 import warpcage
@@ -180,31 +180,6 @@ def test_commands_take_a_selection(files, table, lamp, capsys):
         files, "cage", "@table.npz", "-o", "@top.obj", "--selection", "@lamp.npz", "--in-box", *(-1, -1, 0.2, 1, 1, 1)
     )
     assert warpcage.Cage.load(files / "top.obj").bounds[0, 2] > 0.05
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("select", "@table.npz", "-o", "@n.npz"), "needs a click"),
-        (("select", "@table.npz", "-o", "@n.txt", "--point", 0, 0, 0), "must end in .npz or .json"),
-        (("select", "@table.npz", "-o", "@n.npz", "--point", 0, 0, 9), "is on nothing"),
-        (("select", "@table.npz", "-o", "@n.npz", "--depth", 1, 2), "go together"),
-        (("select", "@table.npz", "-o", "@n.npz", "--point", 0, 0, 0, "--plane", "none", "--clearance", 1), "a plane"),
-        (("select", "@table.npz", "-o", "@n.npz", "--pixel", 0, 0), "is on nothing"),
-        (("select", "@table.npz", "-o", "@n.npz", "--pixel", -1, 0), "at least 0"),
-        (("cage", "@lamp.obj", "-o", "@n.obj", "--selection", "@lamp.npz"), "is for fields"),
-        (("cage", "@table.npz", "-o", "@n.obj", "--selection", "@none.npz"), "none.npz"),
-        (("mesh", "@table.npz", "-o", "@n.obj", "--selection", "@table.npz"), "not a selection file"),
-        (("bake", "@table.npz", "-o", "@n.npz", "--selection", "@lamp.npz", "--voxels", 9), "--voxels is for"),
-        (("edit", "--demo", "--selection", "@lamp.npz"), "brings its own"),
-    ],
-)  # fmt: skip
-def test_refusals_in_one_line(files, capsys, arguments, message):
-    warpcage.Cage.box((0, 0, 0), (1, 1, 1)).save(files / "lamp.obj")
-    assert run(files, *arguments) == 2
-    said = capsys.readouterr().err.strip()
-    assert message in said and said.startswith("warpcage: error:") and "\n" not in said
-    assert not list(files.glob("n.*"))
 
 
 def lamp_on_a_table(offset=(0, 0, 0)):

@@ -67,11 +67,6 @@ def test_other_formats_have_colors_when_asked(files, tmp_path, ending):
     check_halves(np.asarray(mesh.visual.vertex_colors)[:, :3] / 255.0, np.asarray(mesh.vertices)[:, 2])
 
 
-def test_formats_without_colors_say_so(files, tmp_path, capsys):
-    assert run(files, "mesh", "@ball.npz", "-o", tmp_path / "ball.stl", "--colors") == 2
-    assert ".stl has no colours" in capsys.readouterr().err and not (tmp_path / "ball.stl").exists()
-
-
 def test_colors_are_those_seen_from_straight_ahead(device):
     def shine(x):
         sh = np.zeros((*x.shape[:3], 9, 3))

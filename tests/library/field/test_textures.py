@@ -99,12 +99,6 @@ def test_few_faces_are_as_few_in_any_unit_of_length(files, unit):
     np.testing.assert_allclose(light.vertices / unit, expected.vertices, atol=1e-5)
 
 
-@pytest.mark.parametrize("arguments", [["-o", "@a.usdc"], ["-o", "@a.ply"], ["--colors", "-o", "@a.glb"]])
-def test_textures_are_for_gltf_alone(files, arguments, capsys):
-    assert run(files, "mesh", "@ball.npz", "--texture", "64", *arguments) == 2
-    assert "--texture is for glTF" in capsys.readouterr().err
-
-
 def test_without_their_libraries_it_is_said_what_to_install(files, monkeypatch, capsys):
     for name in ("xatlas", "fast_simplification"):
         monkeypatch.setitem(sys.modules, name, None)

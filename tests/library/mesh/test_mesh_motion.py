@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 from refusals import refused
-from runs import run, succeed, write_files
+from runs import succeed, write_files
 
 from warpcage import Cage, PoseFile, VoxelField, deform_points
 from warpcage.edits import carried_points
@@ -205,21 +205,6 @@ def test_a_pose_file_becomes_a_cage_that_moves(files, capsys):
     posed = Cage.load(files / "posed.obj").vertices
     assert len(back) == 13
     np.testing.assert_allclose(back["frame 13"].vertices, posed, atol=2e-6)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--cage", "@cage.obj", "--posed", "twist:20", "--frames", "5", "-o", "@a.ply"], "motion"),
-        (["--frames", "5", "-o", "@a.glb"], "--frames needs a deformation"),
-        (["--cage", "@cage.obj", "--posed", "twist:20", "twist:40", "-o", "@a.obj"], "one pose"),
-        (["--edit", "@cage.obj:remove", "-o", "@a.glb"], "bake"),
-        (["--edit", "@cage.obj:@posed.obj:keep", "-o", "@a.glb"], "bake"),
-    ],
-)
-def test_what_a_mesh_cannot_follow_is_reported(files, options, message, capsys):
-    assert run(files, "mesh", "@ball.npz", *options) == 2
-    assert message in capsys.readouterr().err
 
 
 def test_edits_take_points_along_one_after_the_other(device):

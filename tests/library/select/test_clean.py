@@ -84,6 +84,3 @@ def test_the_command(scene, tmp_path, monkeypatch, capsys):
     assert "removed" in said and "wrote clean.npz" in said and (tmp_path / "gone.png").exists()
     expected = clean_voxels(scene.field, CleanOptions()).field
     assert VoxelField.load("clean.npz").voxel_count == expected.voxel_count < scene.field.voxel_count
-    assert main(["clean", "room.npz", "-o", "a.npz", "--largest-scale", "1"]) != 0
-    assert "--largest-scale is for files of splats" in capsys.readouterr().err
-    assert main(["clean", "room.npz", "-o", "a.ply"]) != 0 and not (tmp_path / "a.ply").exists()

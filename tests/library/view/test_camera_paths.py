@@ -78,8 +78,19 @@ def test_files_that_cannot_be_read_are_refused_in_one_line(tmp_path):
     for said, content in cases.items():
         (tmp_path / "bad.json").write_text(json.dumps(content))
         refused(lambda: CameraFile.load(tmp_path / "bad.json"), said, "bad.json")
-    (tmp_path / "bad.json").write_text("[" * 100_000)
-    refused(lambda: CameraFile.load(tmp_path / "bad.json"), match="bad.json: not a camera file")
+    head = b'{"format": "warpcage cameras", "version": 1'
+    for data, said in (
+        (b"\n", "it is empty"),
+        (b"\xff\xfe\x00", "it holds no text"),
+        (b"[" * 100_000, ""),
+        (head[:20], "its JSON breaks off or is damaged at line 1, column 12"),
+        (b"5", "it holds no JSON object"),
+        (b"{}", "it lacks 'format'"),
+        (head + b"}", "it lacks 'cameras'"),
+        (head + b', "cameras": [7]}', "of another kind than it should be"),
+    ):
+        (tmp_path / "bad.json").write_bytes(data)
+        refused(lambda: CameraFile.load(tmp_path / "bad.json"), "bad.json: not a camera file", said)
     refused(lambda: Camera.load(tmp_path / "none.json"), match="camera file", error=FileNotFoundError)
     refused(lambda: Camera.load(tmp_path / "good.json"), match=MESSAGES["view.cameras_by_name"])
     refused(lambda: Camera.load(tmp_path / "good.json", "side"), match="it holds no camera 'side', only 0, 1")

@@ -5,12 +5,11 @@ import json
 import numpy as np
 import pytest
 from refusals import refused
-from runs import succeed, write_files, write_frames
+from runs import succeed, write_files
 from scipy.spatial.transform import Rotation
 from splat_scenes import splats_in_box
 
-from warpcage import Camera, CameraFile, VoxelField, render_film
-from warpcage.studio.jobs import run_jobs
+from warpcage import Camera, CameraFile, VoxelField
 from warpcage.view import read_image
 
 POINTS = np.random.default_rng(5).uniform(-0.4, 0.4, (20, 3))
@@ -127,24 +126,20 @@ def test_what_cannot_be_read_is_said(tmp_path, said):
     refused(lambda: CameraFile.load(tmp_path / "path.json"), "path.json", match=said)
 
 
-def test_films_and_commands_take_them(tmp_path, capsys):
+def test_commands_take_paths_of_nerfstudio(tmp_path, capsys):
     """Each frame of the film is what its own camera sees."""
     write_files(tmp_path)
     path = tmp_path / "camera_path.json"
     path.write_text(json.dumps(nerfstudio_path(3)))
     field = VoxelField.load(tmp_path / "ball.npz", device="cpu")
-    render_film(field, tmp_path / "film.gif", camera=path)
-    succeed(tmp_path, "animate", "@ball.npz", "--cameras", "@camera_path.json", "-o", "@a.gif", "--frames", "3")
+    succeed(tmp_path, "animate", "@ball.npz", "--cameras", "@camera_path.json", "-o", "@film", "--frames", "3")
     succeed(tmp_path, "render", "@ball.npz", "--camera", "@camera_path.json:2", "-o", "@one.png")
     wanted = field.render(Camera.load(path, "2")).rgb
-    np.testing.assert_allclose(read_image(tmp_path / "one.png")[..., :3], np.asarray(wanted), atol=1.1 / 255)
+    for name in ("one.png", "film/frame_0002.png"):
+        np.testing.assert_allclose(read_image(tmp_path / name)[..., :3], np.asarray(wanted), atol=1.1 / 255)
     succeed(tmp_path, "info", "@camera_path.json")
     said = capsys.readouterr().out
     assert "cameras of nerfstudio" in said and "64x40 from" in said
-    write_frames(tmp_path / "jobs", 1, camera="../camera_path.json#1")
-    run_jobs(tmp_path / "jobs" / "jobs.jsonl", tmp_path / "out", device="cpu")
-    rendered = read_image(next((tmp_path / "out").rglob("*.png")))
-    assert rendered.shape[:2] == (40, 64)
 
 
 def test_nerfstudio_paths_go_along_with_splats_out_of_its_frame(tmp_path):

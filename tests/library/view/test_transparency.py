@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from refusals import refused
-from runs import DEFORMED, SMALL, run, succeed
+from runs import DEFORMED, SMALL, succeed
 
 from warpcage import Camera, Frame
 from warpcage.studio.films.video import with_spread_colors, write_film
@@ -100,18 +100,12 @@ def test_a_film_with_opacity_opened_again(files, tmp_path, ending):
     assert np.abs(frames[1] - frames[0]).mean() > 0.01
 
 
-def test_a_folder_of_exr_files_goes_on_where_it_was_left(files, tmp_path, capsys):
+def test_folders_of_exr_files(files, tmp_path):
     folder = tmp_path / "frames"
     argv = ["animate", "@ball.npz", "-o", folder, *VIEW, "--frames", 3, "--quiet", "--transparent", "--format", "exr"]
     succeed(files, *argv)
-    whole = [path.read_bytes() for path in sorted(folder.glob("*.exr"))]
-    assert len(whole) == 3
-    (folder / "frame_0001.exr").write_bytes(whole[1][:-50])
-    capsys.readouterr()
-    succeed(files, *argv)
-    assert "1 frame, 2 were there already" in capsys.readouterr().out
-    again = [read_exr(path) for path in sorted(folder.glob("*.exr"))]
-    assert len(again) == 3 and all(set(one) == {"RGBA", "Z"} for one in again)
+    frames = [read_exr(path) for path in sorted(folder.glob("*.exr"))]
+    assert len(frames) == 3 and all(set(one) == {"RGBA", "Z"} for one in frames)
     succeed(files, "render", "@ball.npz", "-o", tmp_path / "views", "--cameras", "given", "--scene", "@scene:test",
             "--transparent", "--format", "exr")  # fmt: skip
     assert read_exr(tmp_path / "views" / "view_0001.exr")["RGBA"].shape == (24, 24, 4)
@@ -134,28 +128,7 @@ def test_straight_colors_of_a_frame():
     np.testing.assert_allclose(linear_light([0.0, 0.5, 1.0]), [0.0, 0.21404, 1.0], atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("argv", "message"),
-    [
-        (["-o", "@new.mp4", "--background", "transparent"], "a film that ends in .mp4 has no opacity: give .mov"),
-        (["-o", "@new.gif", "--transparent"], "a film that ends in .gif has no opacity"),
-        (["-o", "@new.mov", "--transparent", "--background", "black"], "give one of them"),
-        (["-o", "@new", "--transparent", "--show", "depth"], "--show depth has no opacity"),
-        (["-o", "@new.mov", "--format", "exr"], "--format is for folders"),
-        (["-o", "@new", "--format", "exr", "--show", "alpha"], "leave out --show"),
-    ],
-)
-def test_what_has_no_opacity_is_refused_before_anything_is_written(files, argv, message, capsys):
-    before = sorted(files.rglob("*"))
-    assert run(files, "animate", "@ball.npz", "--size", 16, "--frames", 2, "--quiet", *argv) == 2
-    error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1
-    assert sorted(files.rglob("*")) == before
-
-
 def test_films_and_pictures_that_cannot_be(tmp_path, monkeypatch):
-    with pytest.raises(ValueError, match="must end in .mp4, .gif, .mov, .webm"):
-        write_film(tmp_path / "film.avi", [np.zeros((4, 4, 3))])
     refused(lambda: write_film(tmp_path / "film.mov", [np.zeros((16, 16, 4)), np.zeros((16, 16, 3))]), match="one size")
     refused(lambda: write_film(tmp_path / "film.webm", []), match="at least one frame")
     refused(lambda: write_exr(tmp_path / "one.exr", np.zeros((4, 4, 3)), np.zeros((2, 2))), match="depth must be")

@@ -35,20 +35,6 @@ def test_keyframes_are_met_and_straight_ways_stay_straight(interpolation):
         np.testing.assert_array_equal(value_along(values, index, interpolation), values[index])
 
 
-def test_smooth_ways_have_no_jolt_at_keyframes_and_linear_ones_have():
-    values = [np.array([value]) for value in (0.0, 1.0, 1.5, 4.0)]
-
-    def slopes(interpolation, at):
-        value = [float(value_along(values, at + d, interpolation)[0]) for d in (-1e-4, 0.0, 1e-4)]
-        return (value[1] - value[0]) / 1e-4, (value[2] - value[1]) / 1e-4
-
-    for at in (1, 2):
-        before, after = slopes("smooth", at)
-        assert before == pytest.approx(after, abs=1e-2) and before > 0.1
-        before, after = slopes("linear", at)
-        assert abs(before - after) > 0.4
-
-
 def test_a_cage_between_two_keyframes():
     high = BOX.translate([0, 0, 4])
     np.testing.assert_allclose(pose_along([BOX, high], 0.25).vertices, BOX.vertices + [0, 0, 1])

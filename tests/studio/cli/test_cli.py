@@ -4,13 +4,12 @@ import json
 import pathlib
 import re
 import subprocess
-import sys
 
 import imageio.v3 as iio
 import numpy as np
 import pytest
 import warp as wp
-from runs import run, succeed
+from runs import command, run, succeed
 
 from warpcage import VoxelField
 from warpcage.core import warn_caller
@@ -21,10 +20,9 @@ from warpcage.view import read_image
 
 
 def test_the_package_runs_as_a_module():
-    argv = [sys.executable, "-m", "warpcage"]
-    helped = subprocess.run([*argv, "--help"], capture_output=True, text=True)
+    helped = subprocess.run(command("--help"), capture_output=True, text=True)
     assert helped.returncode == 0 and helped.stdout.startswith("usage: warpcage ")
-    wrong = subprocess.run([*argv, "info", "nowhere.npz"], capture_output=True, text=True)
+    wrong = subprocess.run(command("info", "nowhere.npz"), capture_output=True, text=True)
     assert wrong.returncode == 2 and "nowhere.npz" in wrong.stderr and wrong.stderr.count("\n") == 1
 
 

@@ -1,12 +1,11 @@
 """Meshes, cages and poses from the command line."""
 
 import subprocess
-import sys
 
 import numpy as np
 import pytest
 import trimesh
-from runs import succeed
+from runs import command, succeed
 
 from warpcage import Cage, VoxelField
 from warpcage.studio.cli import main
@@ -42,7 +41,7 @@ def test_gltf_meshes_stand_upright(tmp_path, capsys):
 
 def test_a_cage_around_a_mesh_says_one_line(files, tmp_path):
     argv = f"cage {files}/posed.obj -o {tmp_path}/cage.obj --vertices 30 --method shell --quiet".split()
-    done = subprocess.run([sys.executable, "-m", "warpcage", *map(str, argv)], capture_output=True, text=True)
+    done = subprocess.run(command(*argv), capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout.startswith("wrote ") and done.stdout.count("\n") == 1
 
 

@@ -16,7 +16,7 @@ from messages import MESSAGES
 pytest.importorskip("aiohttp")
 
 from editor_pages import BOX, WAIT, pages, tiny_field
-from runs import run
+from runs import command, run
 
 from warpcage import Cage
 from warpcage.studio.editor import Editor, read_session
@@ -159,25 +159,14 @@ def test_a_browser_is_opened_or_the_reader_is_reported(files, opened, capsys, mo
     assert "open the address above" in capsys.readouterr().err
 
 
-PROGRAM = """
-import signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs ignore it
-from warpcage.studio.cli import main
-sys.exit(main(sys.argv[1:]))
-"""
-
-
 def test_an_interrupt_in_the_middle_of_a_drag_ends_it_with_the_session_saved(files):
-    argv = ["edit", str(files / "ball.npz"), "--cage", str(files / "cage.obj"), "--no-browser", "--device", "cpu"]
-    process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *argv], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    argv = command("edit", files / "ball.npz", "--cage", files / "cage.obj", "--no-browser", "--device", "cpu")
+    process = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
     async def work():
         lines = iter(process.stdout.readline, "")
         line = await asyncio.get_running_loop().run_in_executor(None, lambda: next(x for x in lines if " at http" in x))
-        server = type("Running", (), {"address": line.split()[-1]})
-        async with pages(server) as (page,):
+        async with pages(line.split()[-1]) as (page,):
             await page.do(do="drag.begin", edit=1)
             await page.move(BOX.vertices * 1.3)
             await page.do(do="seen", frame=0)
@@ -199,18 +188,8 @@ def test_a_stage_file_is_opened_with_all_of_its_objects_and_its_film_is_made(fil
     """`animate --session` renders what the editor has of it."""
     moving = files / "moving.json"
     moving.write_text('{"keys": [{"time": 0}, {"time": 1, "position": [0, 0, 1]}]}')
-    command = (
-        "render",
-        "@ball.npz",
-        "--add",
-        f"{files / 'ball.npz'}:{moving}",
-        "-o",
-        "@both.png",
-        "--size",
-        "16",
-        "12",
-    )
-    assert run(files, *command, "--save-stage", "@both.stage.json") == 0
+    render = ("render", "@ball.npz", "--add", f"@ball.npz:{moving}", "-o", "@both.png", "--size", 16, 12)
+    assert run(files, *render, "--save-stage", "@both.stage.json") == 0
     assert edit(files, "@both.stage.json", "--cage", "@cage.obj") == 2
     assert "cages of their own" in capsys.readouterr().err
     assert edit(files, "@both.stage.json") == 0

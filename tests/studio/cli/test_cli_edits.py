@@ -125,13 +125,6 @@ def test_fragments_by_their_old_name_are_taken_with_a_warning(files, tmp_path, c
     )
 
 
-def test_one_edit_is_what_cage_and_posed_are(files, tmp_path):
-    one = render(files, tmp_path, "--edit", "@cage.obj:@posed.obj", "--overlay")
-    np.testing.assert_array_equal(
-        one, render(files, tmp_path, "--cage", "@cage.obj", "--posed", "@posed.obj", "--overlay")
-    )
-
-
 def test_an_edits_file_and_its_cages_move_together(files, tmp_path, capsys):
     argv = ["--edit", "@top.obj:@top_up.obj", "--edit", "@left.obj:@left.json:far:keep", "--edit", "@other.obj:rest"]
     folder = tmp_path / "house"
@@ -184,16 +177,6 @@ def test_a_film_of_several_edits(files, tmp_path, capsys):
     np.testing.assert_allclose(frames[0], render(files, tmp_path), atol=0.01)
     assert run(files, *argv, "--edit", "@top.obj:remove") == 2
     assert "other cage, posed" in capsys.readouterr().err
-
-
-def test_bake_takes_edits(files, tmp_path):
-    argv = ["--edit", "@top.obj:@top_up.obj", "--edit", "@left.obj:remove"]
-    settings = ["--coordinates", "mean_value", "--resolution", 24]
-    succeed(files, "bake", "@ball.npz", "-o", tmp_path / "baked.npz", *argv, *settings)
-    baked = tmp_path / "baked.png"
-    succeed(files, "render", tmp_path / "baked.npz", "-o", baked, *VIEW)
-    difference = np.abs(read_image(baked) - render(files, tmp_path, *argv)).mean()
-    assert difference < 0.03 < np.abs(read_image(baked) - render(files, tmp_path)).mean()
 
 
 def test_a_cage_is_seen_without_a_pose(files, tmp_path):

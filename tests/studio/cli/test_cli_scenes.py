@@ -1,7 +1,9 @@
 """`warpcage info` of everything there is, and pictures from a scene's cameras."""
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
+from runs import DEFORMED, SMALL, succeed, write_files
 from scene_writers import brick_pictures, write_colmap, write_dtu, write_nsvf, write_transforms
 
 from warpcage import Cage, PoseFile, VoxelField, load_scene
@@ -11,18 +13,12 @@ from warpcage.view import read_image
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("info")
+    folder = write_files(tmp_path_factory.mktemp("info"))
     pictures = brick_pictures(10)
     write_nsvf(folder / "nsvf", pictures, "0" * 8 + "22")
     write_dtu(folder / "dtu", pictures)
     write_transforms(folder / "transforms", pictures)
     write_colmap(folder / "colmap", pictures, binary=True)
-    x, y, z = np.meshgrid(*[(np.arange(16) + 0.5) / 8 - 1] * 3, indexing="ij")
-    density = np.where(x**2 + y**2 + z**2 < 0.5, 40.0, 0.0)
-    sh = np.zeros((16, 16, 16, 9, 3))
-    sh[..., 0, :] = np.where(z[..., None] > 0, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])
-    VoxelField.from_dense(density, sh, [[-1, -1, -1], [1, 1, 1]]).save(folder / "ball.npz")
-    Cage.box((-0.9, -0.9, -0.9), (0.9, 0.9, 0.9), segments=2).save(folder / "cage.ply")
     return folder
 
 
@@ -54,14 +50,14 @@ def test_info_of_a_file_of_a_scene_says_which_folder(files, capsys, name):
 
 def test_info_of_files(files, capsys):
     rows = info(capsys, files / "ball.npz")
-    assert rows["kind"] == "field" and rows["resolution"] == "16x16x16"
-    assert rows["density"] == "0 to 40 per world unit" and rows["file"].endswith("kB")
-    rows = info(capsys, files / "cage.ply")
+    assert rows["kind"] == "field" and rows["resolution"] == "24x24x24"
+    assert rows["density"] == "0 to 40 per world unit" and rows["file"] == "0.1 MB"
+    rows = info(capsys, files / "cage.obj")
     assert rows["kind"] == "cage" and rows["vertices"] == "26" and rows["usable"] == "yes"
 
 
 def test_info_of_poses(files, capsys, tmp_path):
-    rest = Cage.load(files / "cage.ply")
+    rest = Cage.load(files / "cage.obj")
     PoseFile(rest, {"up": rest.translate([0, 0, 0.5]), "still": rest}).save(tmp_path / "poses.json")
     rows = info(capsys, tmp_path / "poses.json")
     assert rows["kind"] == "poses" and rows["keyframes"] == "2" and rows["cage vertices"] == "26"
@@ -105,16 +101,7 @@ def test_masks_can_be_left_alone(files, tmp_path, capsys):
     assert scores[0] != scores[1]
 
 
-def render(files, *argv):
-    return main(["render", str(files / "ball.npz"), *map(str, argv)])
-
-
 def test_film_of_a_pose_through_the_cameras(files, tmp_path):
-    argv = (
-        f"--cage {files}/cage.ply --posed {files}/cage.ply --coordinates mean_value --resolution 16 --overlay".split()
-    )
-    film = tmp_path / "way.gif"
-    assert render(files, "-o", film, "--cameras", "interpolate", "--scene", f"{files / 'colmap'}:test", *argv) == 0
-    import imageio.v3 as iio
-
-    assert iio.imread(film).shape[:3] == (9, 20, 24)
+    argv = ["--cameras", "interpolate", "--scene", "@colmap:test", *DEFORMED, *SMALL[2:], "--overlay"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "way.gif", *argv)
+    assert iio.imread(tmp_path / "way.gif").shape[:3] == (9, 20, 24)

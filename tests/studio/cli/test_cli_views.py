@@ -160,27 +160,6 @@ def test_cameras_and_poses_with_times_go_together(files, tmp_path):
     assert not is_same(found[-1].camera, ring[1])  # half of the way after one second of two
 
 
-@pytest.mark.parametrize(
-    "data, said",
-    [
-        (b"", "it is empty"),
-        (b"\n", "it is empty"),
-        (b"\xff\xfe\x00", "it holds no text"),
-        (b'{"format": "warpcage cam', "its JSON breaks off or is damaged at line 1, column 12"),
-        (b"5", "it holds no JSON object"),
-        (b"{}", "it lacks 'format'"),
-        (b'{"format": "warpcage cameras", "version": 1}', "it lacks 'cameras'"),
-        (b'{"format": "warpcage cameras", "version": 1, "cameras": [7]}', "of another kind than it should be"),
-    ],
-)
-def test_damaged_camera_files_are_reported_plainly(files, tmp_path, capsys, data, said):
-    (tmp_path / "bad.json").write_bytes(data)
-    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", "--camera", tmp_path / "bad.json") == 2
-    error = capsys.readouterr().err
-    assert "bad.json: not a camera file: " in error and said in error
-    assert error.count("\n") == 1 and "Error" not in error and not (tmp_path / "x.png").exists()
-
-
 def test_info_of_cameras_and_of_foreign_json(files, tmp_path, capsys):
     keys = turntable((0, 0, 0), 3.0, 10, 2, **LENS)
     CameraFile([CameraKey(keys[0], 0.0, name="near"), CameraKey(keys[1], 1.5)]).save(tmp_path / "two.json")

@@ -94,19 +94,19 @@ def test_a_job_file_moves_with_what_lies_beside_it_and_writes_a_pose_once(files,
 
 
 def test_a_pose_that_cannot_be_leaves_the_job_file_of_before(files, tmp_path, capsys, monkeypatch):
-    from warpcage.studio.films import Timeline
+    from warpcage.studio.films import MovingScene
 
     argv = ["animate", "@ball.npz", *FILM, *DEFORMED, "--jobs", tmp_path / "film.jsonl"]
     succeed(files, *argv)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    cages = Timeline.cages
+    cages = MovingScene.cages
 
     def fails(self, index):
         if index == 3:
             raise ValueError("frame 3, between the poses: it is flat")
         return cages(self, index)
 
-    monkeypatch.setattr(Timeline, "cages", fails)
+    monkeypatch.setattr(MovingScene, "cages", fails)
     assert run(files, *argv, "--frames", 7) == 2
     assert "frame 3, between the poses" in capsys.readouterr().err
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

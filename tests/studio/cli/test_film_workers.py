@@ -2,7 +2,7 @@
 
 import pathlib
 import re
-from fractions import Fraction
+import threading
 
 import numpy as np
 import pytest
@@ -147,8 +147,7 @@ def test_a_frame_that_comes_while_it_is_looked_for_is_read(tmp_path, monkeypatch
         return found
 
     monkeypatch.setattr(pathlib.Path, "exists", seen)
-    encoder = films.FilmEncoder(tmp_path / "a.mp4", Fraction(24), False, [[place]])
-    assert encoder.frame([place]).shape[:2] == (4, 4)
+    assert films.coming_frame([place], threading.Event()).shape[:2] == (4, 4)
 
 
 def test_frames_of_another_film_are_not_taken(files, tmp_path, rendered):

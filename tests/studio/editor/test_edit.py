@@ -50,7 +50,7 @@ def test_an_editor_saves_when_it_is_closed_and_goes_on_later(tmp_path):
     tiny_field().save(tmp_path / "ball.npz")
 
     async def move(editor):
-        async with pages(type("Running", (), {"address": editor.url})) as (page,):
+        async with pages(editor.url) as (page,):
             await page.drag(REST * 1.25)
 
     with edit(tmp_path / "ball.npz", [BOX, Cage.box((0, 0, 0), (1, 1, 1))]) as editor:

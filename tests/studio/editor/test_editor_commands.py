@@ -17,11 +17,9 @@ from warpcage import Cage
 from warpcage.core import error_line
 from warpcage.studio.editor import (
     COMMANDS,
-    DEPTH,
     MAX_ID,
     MAX_PLACE,
     Document,
-    History,
     Key,
     Timeline,
     View,
@@ -444,27 +442,6 @@ def test_an_error_is_one_line_without_folders():
 
 
 # -- History
-
-
-def test_history_goes_back_and_forth_through_the_same_documents():
-    history, present, seen = History(), document(), []
-    for number in range(DEPTH + 50):
-        seen.append(present)
-        history.push(f"step {number}", present)
-        present = dataclasses.replace(present, next_id=present.next_id + 1)
-    last = present
-    for number in reversed(range(50, DEPTH + 50)):
-        label, present = history.undo(present)
-        assert label == f"step {number}" and present.edits is seen[number].edits
-        assert present.next_id == last.next_id  # numbers are given once
-    with pytest.raises(ValueError, match="nothing to undo"):
-        history.undo(present)
-    for number in range(50, DEPTH + 50):
-        label, present = history.redo(present)
-        assert label == f"step {number}"
-    with pytest.raises(ValueError, match="nothing to redo"):
-        history.redo(present)
-    assert history.summary() == {"undo": DEPTH, "redo": 0, "undo_label": f"step {DEPTH + 49}", "redo_label": None}
 
 
 def test_walls_and_fragments_of_an_edit_are_changed_kept_and_checked():

@@ -5,7 +5,6 @@ import base64
 import dataclasses
 import json
 import re
-import types
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,8 @@ import pytest
 aiohttp = pytest.importorskip("aiohttp")
 
 from editor_browser import editor, until, window
-from editor_pages import new_session, pages, tiny_field, with_pages
+from editor_commands import BALL, CAGE, EVERY, KEEPING, KEYS, LOSING, OF_EDIT, REST, ROUGH, key_all
+from editor_pages import new_session, on_pages, pages, tiny_field
 
 import warpcage
 from warpcage import Cage, PoseFile, VoxelField, deform_points, edit
@@ -25,89 +25,12 @@ from warpcage.studio.films.session import session_file
 
 __all__ = ["editor", "window"]  # fixtures
 
-CAGE = Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7), segments=2)
-REST = CAGE.vertices
-BALL = Cage.icosphere((0.0, 0.0, 0.0), 0.9, 1)
 BACK = "Undo brings that back."
 
-#: The film of the tests: keys 3 and 4 hold poses of edits 1 and 2, places of both objects, and cameras.
-FIRST, SECOND, COPY, OWN, KEYS = 1, 3, 2, 0, (4, 5)
 
-LOSES_ALL = "loses its poses of 2 cages, 1 key its camera, 1 key its positions of 2 objects."
-OF_EDIT = '2 keys lose their poses of "Move 1".'
-ROUGH = 'The new cage of "Move 1" takes the poses of 2 keys over roughly: up to '
-
-#: Every command of the page, with keys there: whether these keep what they hold, or the page asks first, or warns of
-#: what goes, in this line; and messages that carry it out.
-TABLE = {
-    "select": ("keeps", {"edit": FIRST, "mode": "vertex", "vertices": [0, 1]}),
-    "settings": ("keeps", {"resolution": 24}),
-    "pose.set": ("keeps", {"edit": FIRST, "vertices": (REST * 3).tolist()}),
-    "pose.reset": ("keeps", {"edit": FIRST}),
-    "pose.load": ("keeps", {"file": "same.obj", "edit": FIRST}),
-    "edit.add": ("keeps", {"lower": [-0.5] * 3, "upper": [0.5] * 3}),
-    "edit.delete": ("asks", {"id": FIRST}, OF_EDIT),
-    "edit.change": ("keeps", {"id": FIRST, "kind": "remove"}),
-    "edit.order": ("keeps", {"ids": [FIRST]}),
-    "cage.generate": ("asks", {"edit": FIRST, "count": 42}, ROUGH),
-    "cage.subdivide": ("keeps", {"edit": FIRST}),
-    "cage.simplify": ("asks", {"edit": FIRST, "count": 20}, ROUGH),
-    "cage.load": ("asks", {"edit": FIRST, "file": "ball.obj"}, ROUGH),
-    "cage.box": ("keeps", {"edit": FIRST, "vertices": [0, 7]}),
-    "cage.mirror": ("keeps", {"edit": FIRST, "axis": "x", "place": 0.0}),
-    "key.add": ("warns", {"time": 1.0, "pose": True}, '1 key loses its old pose of "Move 1".'),
-    "key.change": ("warns", {"id": KEYS[1], "pose": True}, '1 key loses its old pose of "Move 1".'),
-    "key.delete": ("warns", {"id": KEYS[0]}, f"1 key {LOSES_ALL}"),
-    "camera.move": ("asks", {"move": "turn:90"}, "2 keys lose their cameras."),
-    "camera.frame": ("warns", {"aspect": 0.2}, "2 keys lose their old cameras."),
-    "camera.outside": ("keeps", {"aspect": 0.2}),
-    "poses.load": ("asks", {"file": "poses.json", "edit": FIRST}, OF_EDIT),
-    "object.select": ("keeps", {"id": COPY}),
-    "object.add": ("keeps", {"file": "arm.npz"}),
-    "object.copy": ("keeps", {"id": COPY}),
-    "object.change": ("keeps", {"id": COPY, "visible": False, "place": {"position": [0, 0, 9]}}),
-    "object.remove": (
-        "asks",
-        {"id": COPY},
-        '2 keys lose their poses of "Move 1", 2 keys their positions of "scene 2".',
-    ),
-    "timeline": ("keeps", {"length": 3.0, "fps": 12.0, "loop": "loop"}),
-    "time": ("keeps", {"time": 0.5}),
-    "play": ("keeps", {"on": True}, {"do": "play", "on": False}),
-    "undo": ("keeps", {}, {"do": "redo"}),
-    "redo": ("keeps", None),  # tried with undo, as ends are with their beginnings
-    "drag.begin": ("keeps", {"edit": FIRST}, {"do": "drag.end", "edit": FIRST}),
-    "drag.end": ("keeps", None),
-    "preset.begin": (
-        "keeps",
-        {"edit": FIRST},
-        {"do": "preset.set", "preset": "twist", "amount": 40.0},
-        {"do": "preset.end", "edit": FIRST},
-    ),
-    "preset.set": ("keeps", None),
-    "preset.end": ("keeps", None),
-    "place.begin": (
-        "keeps",
-        {"object": COPY},
-        {"do": "place.set", "object": COPY, "matrix": np.eye(4).tolist(), "seq": 1},
-        {"do": "place.end", "object": COPY},
-    ),
-    "place.set": ("keeps", None),
-    "place.end": ("keeps", None),
-    "view": ("keeps", {"eye": [3, 3, 3], "target": [0, 0, 0], "up": [0, 0, 1], "fov": 40.0}),
-    "size": ("keeps", {"width": 24, "height": 16}),
-    "seen": ("keeps", {"frame": 1}),
-    "object.pick": ("keeps", {"across": 0.5, "down": 0.5, "aspect": 1.5}),
-    "files": ("keeps", {}),
-    "object.files": ("keeps", {}),
-    "poses.save": ("keeps", {"file": "kept.json", "edit": FIRST}),
-    "upload.drop": ("keeps", {"file": "sent.obj"}),
-    "export": ("keeps", {"what": "poses", "file": "out.json", "edit": FIRST}),
-    "export.command": ("keeps", None),  # it writes the session's file, and no more
-    "stage.save": ("keeps", None),
-    "job.cancel": ("keeps", None),
-    "job.clear": ("keeps", None),
-}
+@pytest.fixture
+def session():
+    return new_session(cages=(CAGE,))
 
 
 def film(session):
@@ -120,7 +43,8 @@ def spoken():
     return {name for script in scripts for name in re.findall(r'\bdo: "([a-z.]+)"', script.read_text())}
 
 
-def test_no_command_of_the_page_loses_what_was_keyed_without_a_word(tmp_path, monkeypatch):
+@on_pages
+async def test_no_command_of_the_page_loses_what_was_keyed_without_a_word(host, page, session, tmp_path, monkeypatch):
     monkeypatch.setattr(Cage, "from_field", lambda *_, **__: BALL)
     tiny_field().save(tmp_path / "arm.npz")
     CAGE.translate((0.1, 0.0, 0.0)).save(tmp_path / "same.obj")
@@ -129,48 +53,28 @@ def test_no_command_of_the_page_loses_what_was_keyed_without_a_word(tmp_path, mo
     poses["a"], poses["b"] = CAGE, CAGE.twist(30)
     poses.times.update({"a": 0.25, "b": 0.75})
     poses.save(tmp_path / "poses.json")
-
-    async def test(host, page):
-        session = host.session
-        assert set(TABLE) == {"undo", "redo"} | set(COMMANDS) | set(host.tasks.commands) | spoken()
-        await page.do(do="object.copy", id=OWN, offset=[3, 0, 0])
-        await page.do(do="key.add", time=0.0, pose=True, camera=True)
-        await page.do(do="time", time=1.0)
-        await page.drag(CAGE.twist(80).vertices, edit=SECOND)
-        await page.do(do="object.select", id=OWN)
-        await page.drag(CAGE.twist(60).vertices, edit=FIRST)
-        await page.do(do="key.add", time=1.0, pose=True, camera=True)
-        assert tuple(key.id for key in session.document.timeline.keys) == KEYS
-        await page.drag(REST * 1.5, edit=FIRST)
-        page.notices.clear()
-        for name, (verdict, first, *others) in TABLE.items():
-            if first is None:
-                continue
-            lines = [one for one in others if isinstance(one, str)]
-            before, whole, steps = session.document, film(session), len(session.history.undo_steps)
-            await page.do(do=name, **first)
-            if name == "drag.begin":
+    assert {each["do"] for each in EVERY} == {"undo", "redo"} | set(COMMANDS) | set(host.tasks.commands) | spoken()
+    await key_all(page)
+    assert tuple(key.id for key in session.document.timeline.keys) == KEYS
+    page.notices.clear()
+    for messages, line in [*(([message], line) for message, line in LOSING), *((each, None) for each in KEEPING)]:
+        before, whole, steps = session.document, film(session), len(session.history.undo_steps)
+        for message in messages:
+            await page.do(**message)
+            if message["do"] == "drag.begin":
                 await page.move(REST * 2)
-            for message in others:
-                if isinstance(message, dict):
-                    await page.do(**message)
-            await page.until(lambda: all(job["state"] == "done" for job in host.jobs.section()))
-            await page.do(do="seen", frame=0)  # what was sent before is here
-            shown = [text for text in page.notices if text.endswith(BACK)]
-            lost = losses(before, session.document)
-            if verdict == "keeps":
-                assert shown == [] and lost is None, name
-            else:
-                (line,) = shown
-                assert line == lost and line.startswith(*lines), (name, line)
-            for _ in range(len(session.history.undo_steps) - steps):
-                await page.do(do="undo")
-            assert film(session) == whole, name
-            page.notices.clear()
-        await page.refused(do="timeline", length=0.5)  # a film does not end before its last key
-        assert film(session) == whole
-
-    with_pages(test, tmp_path, session=new_session(cages=(CAGE,)))
+        await page.until(lambda: all(job["state"] == "done" for job in host.jobs.section()))
+        await page.do(do="seen", frame=0)  # what was sent before is here
+        shown = [text for text in page.notices if text.endswith(BACK)]
+        lost = losses(before, session.document)
+        assert shown == ([] if line is None else [lost]), messages
+        assert lost is None if line is None else lost.startswith(line), (messages, lost)
+        for _ in range(len(session.history.undo_steps) - steps):
+            await page.do(do="undo")
+        assert film(session) == whole, messages
+        page.notices.clear()
+    await page.refused(do="timeline", length=0.5)  # a film does not end before its last key
+    assert film(session) == whole
 
 
 @pytest.mark.parametrize(
@@ -269,7 +173,7 @@ def said(editor, *messages):
     """What an editor answers to commands of a page, and what it sends this page."""
 
     async def talk():
-        async with pages(types.SimpleNamespace(address=editor.url), size=None) as (page,):
+        async with pages(editor.url, size=None) as (page,):
             return [await page.do(**message) for message in messages], page.notices
 
     return asyncio.run(talk())
@@ -339,7 +243,9 @@ def test_the_steps_that_a_file_keeps_are_bounded(tmp_path, monkeypatch):
     assert len(session.history.undo_steps) == 120  # while the editor runs
 
 
+#: Damaged steps, and those of a session of before steps were kept.
 DAMAGES = {
+    "none": None,
     "a text": lambda steps: "steps",
     "no fields": lambda steps: {**steps, "fields": None},
     "no parts": lambda steps: {name: value for name, value in steps.items() if name != "parts"},
@@ -365,23 +271,13 @@ def test_a_session_with_damaged_steps_opens_and_says_so_once(tmp_path, damage):
     kept, _ = worked(path)
     file = tmp_path / "ball.session.json"
     content = json.loads(file.read_text())
-    file.write_text(json.dumps({**content, "history": DAMAGES[damage](content["history"])}))
+    steps, make = content.pop("history"), DAMAGES[damage]
+    file.write_text(json.dumps(content | ({"history": make(steps)} if make else {})))
     with edit(path) as editor:
         assert film(editor.session) == kept and editor.session.history.summary()["undo"] == 0
-        assert editor.session.lost == "The undo steps in the session's file are damaged and left out."
+        said = "The undo steps in the session's file are damaged and left out."
+        assert editor.session.lost == (said if make else None)
     with edit(path) as editor:
-        assert editor.session.lost is None
-
-
-def test_a_session_of_before_steps_were_kept_opens_in_silence(tmp_path):
-    path = ball(tmp_path)
-    kept, _ = worked(path)
-    file = tmp_path / "ball.session.json"
-    content = json.loads(file.read_text())
-    del content["history"]
-    file.write_text(json.dumps(content))
-    with edit(path) as editor:
-        assert film(editor.session) == kept and editor.session.history.summary()["undo"] == 0
         assert editor.session.lost is None
 
 
@@ -425,31 +321,27 @@ def added_and_removed(path):
         [{"do": "object.copy", "id": 0}],
     ],
 )  # fmt: skip
-def test_a_pose_that_no_key_holds_has_a_way_back_to_its_time_and_view(tmp_path, act):
+@on_pages
+async def test_a_pose_that_no_key_holds_has_a_way_back_to_its_time_and_view(host, page, session, act):
     there = {"eye": [3, 3, 3], "target": [0, 0, 0], "up": [0, 0, 1], "fov": 50.0}
-
-    async def test(host, page):
-        session = host.session
-        await page.do(do="key.add", time=0.0, pose=True, camera=True)
-        await page.do(do="time", time=1.0)
-        await page.do(do="view", **there)
-        await page.drag(REST * 2)
-        steps = len(session.history.undo_steps)
-        for message in act:
-            await page.do(**message)
-            if message.get("on"):
-                await page.until(lambda: page.sections["playback"]["left"] == 1.0)
-        if act[0]["do"] in ("time", "play"):
-            (shown,) = page.notices
-            assert shown == "No key holds the pose that was left at 1.00 s. Undo goes back to it."
-        for _ in range(len(session.history.undo_steps) - steps):
-            await page.do(do="undo")
-        document = session.document
-        np.testing.assert_array_equal(document.edits[0].posed, REST * 2)
-        assert (document.time, list(document.view.eye), document.view.fov) == (1.0, there["eye"], 50.0)
-        assert session.unkeyed
-
-    with_pages(test, tmp_path, session=new_session(cages=(CAGE,)))
+    await page.do(do="key.add", time=0.0, pose=True, camera=True)
+    await page.do(do="time", time=1.0)
+    await page.do(do="view", **there)
+    await page.drag(REST * 2)
+    steps = len(session.history.undo_steps)
+    for message in act:
+        await page.do(**message)
+        if message.get("on"):
+            await page.until(lambda: page.sections["playback"]["left"] == 1.0)
+    if act[0]["do"] in ("time", "play"):
+        (shown,) = page.notices
+        assert shown == "No key holds the pose that was left at 1.00 s. Undo goes back to it."
+    for _ in range(len(session.history.undo_steps) - steps):
+        await page.do(do="undo")
+    document = session.document
+    np.testing.assert_array_equal(document.edits[0].posed, REST * 2)
+    assert (document.time, list(document.view.eye), document.view.fov) == (1.0, there["eye"], 50.0)
+    assert session.unkeyed
 
 
 def test_a_look_around_keeps_what_was_undone():
@@ -502,7 +394,7 @@ def test_jobs_lists_what_a_session_wrote_after_the_editor_has_ended(tmp_path, mo
         with edit(path, None if path.with_name("ball.session.json").exists() else CAGE) as editor:
 
             async def talk():
-                async with pages(types.SimpleNamespace(address=editor.url), size=None) as (page,):
+                async with pages(editor.url, size=None) as (page,):
                     shown = await work(page)
                     got = {}
                     async with aiohttp.ClientSession() as http:
@@ -557,7 +449,7 @@ def test_exports_of_a_file_that_make_no_sense_are_left_out(tmp_path, exports):
     with edit(path) as editor:
 
         async def talk():
-            async with pages(types.SimpleNamespace(address=editor.url), size=None) as (page,):
+            async with pages(editor.url, size=None) as (page,):
                 return page.sections["jobs"]
 
         assert asyncio.run(talk()) == []

@@ -6,12 +6,12 @@ import json
 
 import numpy as np
 import pytest
-from editor_pages import BOX, new_session, nothing_logged, on_pages, tiny_field, with_pages
+from editor_pages import BOX, green_field, new_session, nothing_logged, on_pages, tiny_field, with_pages
+from splat_scenes import ball_of_splats
 
 import warpcage
-from warpcage import Place, SplatField, Stage, SurfaceMesh
+from warpcage import Place, Stage, SurfaceMesh
 from warpcage.core.arrays import box_corners
-from warpcage.field import harmonics_on_host
 from warpcage.mesh import write_shown_mesh
 from warpcage.studio.editor import (
     MAIN,
@@ -35,28 +35,10 @@ from warpcage.studio.editor import (
     with_new_object,
     write_session,
 )
-from warpcage.studio.films.render import Look
 
 __all__ = ["nothing_logged"]  # a fixture
 
 AWAY = Place((1.5, 0.0, 0.0), (0.0, 0.0, 90.0), 0.5)
-
-
-def green_field():
-    """The ball of the other tests, green all over."""
-    ball = tiny_field()
-    colors = np.zeros_like(harmonics_on_host(ball.grid.sh))
-    colors[:, 0] = (-1.5, 1.5, -1.5)
-    return warpcage.VoxelField(ball.bounds, ball.grid.links, ball.grid.density, colors)
-
-
-def few_splats():
-    """A ball of splats on a grid, blue."""
-    places = np.stack(np.meshgrid(*[np.linspace(-0.4, 0.4, 6)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    places = places[np.linalg.norm(places, axis=1) < 0.45]
-    count = len(places)
-    turns, sizes = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.full((count, 3), np.log(0.08))
-    return SplatField(places, sizes, turns, np.full(count, 4.0), np.tile([[-1.5, -1.5, 1.5]], (count, 1))[:, None])
 
 
 @pytest.fixture
@@ -64,7 +46,7 @@ def folder(tmp_path):
     """The session's folder with the files of three fields."""
     tiny_field().save(tmp_path / "ball.npz")
     green_field().save(tmp_path / "green.npz")
-    few_splats().save(tmp_path / "blue.ply")
+    ball_of_splats(0.08).save(tmp_path / "blue.ply")
     (tmp_path / "notes.txt").write_text("no field")
     BOX.save(tmp_path / "cage.ply")
     return tmp_path
@@ -290,26 +272,6 @@ def test_keys_hold_places_and_the_film_moves_objects(tmp_path):
     assert document_at(single, 0).objects[0].place == Place()
 
 
-def test_still_moments_of_several_objects_are_rendered_once(monkeypatch):
-    film, fields = two_objects()
-    (edit,), number = film.edits, film.objects[1].id
-    away, bent = Place((0, 0, 1.5)), edit.rest + [0, 0, 0.3]
-    for seconds, (place, posed) in enumerate([(AWAY, edit.rest), (away, edit.rest), (away, edit.rest), (away, bent)]):
-        film = film.with_object(dataclasses.replace(film.scene_object(number), place=place))
-        film = film.with_edit(dataclasses.replace(edit, posed=posed))
-        _, film = run_command(film, {"do": "key.add", "time": seconds, "pose": True})
-    _, film = run_command(film, {"do": "timeline", "length": 3, "fps": 2})
-    expected = [picture(document_at(film, seconds), fields) for seconds in np.arange(7) / 2]
-    rendered, render = [], Look.render
-    monkeypatch.setattr(Look, "render", lambda *args, **options: rendered.append(1) or render(*args, **options))
-    frames = list(film_pictures(film, fields, Film(40, 30)))
-    assert len(rendered) == len({frame.tobytes() for frame in frames}) == 5
-    assert frames[2] is frames[3] is frames[4]
-    np.testing.assert_array_equal(frames, np.clip(expected, 0, 1))
-    hidden = film.with_object(dataclasses.replace(film.scene_object(number), visible=False))
-    assert len({id(frame) for frame in film_pictures(hidden, fields, Film(40, 30))}) == 3  # that it moves is not seen
-
-
 @on_pages
 async def test_a_scrub_keeps_a_place_that_no_key_holds(server, page, session):
     await page.do(do="object.add", file="green.npz", place={"position": [2, 0, 0]})
@@ -345,37 +307,33 @@ def test_a_copy_has_edits_and_keys_of_its_own_and_shares_the_field(folder):
     assert copy.id not in without.timeline.keys[0].places and new.id not in without.timeline.keys[0].poses
 
 
-def test_a_mesh_is_added_placed_posed_copied_hidden_and_kept(folder):
+@on_pages
+async def test_a_mesh_is_added_placed_posed_copied_and_kept(server, page, session, folder):
     """A cube with colours of vertices beside the ball, posed by a cage of its own, in a stage file too."""
     cube = warpcage.Cage.box((-0.4,) * 3, (0.4,) * 3, segments=3)
     colors = np.random.default_rng(0).random((len(cube.vertices), 3))
     write_shown_mesh(folder / "cube.glb", cube.vertices, cube.faces, colors=colors)
-    session = session_in(folder)
     cage = warpcage.Cage.box((-0.5,) * 3, (0.5,) * 3, segments=2)
-
-    async def test(server, page):
-        await page.do(do="object.add", file="cube.glb", beside=True)
-        await page.until(lambda: len(page.sections["objects"]) == 2)
-        section = page.sections["objects"][1]
-        assert section["size"] == f"{len(cube.faces)} triangles" and section["file"] == "cube.glb"
-        np.testing.assert_allclose(section["bounds"], cube.bounds, atol=1e-6)
-        number = section["id"]
-        assert session.document.scene_object(number).place.moved(cube.bounds)[0, 0] > session.field.bounds[1, 0]
-        await page.do(do="object.change", id=number, place={"position": [1.4, 0, 0], "turn": [0, 0, 30]})
-        await page.do(do="cage.generate", count=24, method="voxel")
-        await page.until(lambda: any(edit.object_id == number for edit in session.document.edits))
-        around = session.document.edits_of(number)[0].rest_cage
-        assert around.contains(cube.vertices).all()
-        edit = session.document.edits_of(number)[0]
-        await page.do(do="edit.delete", id=edit.id)
-        cage.save(folder / "around.obj")
-        await page.do(do="cage.load", file="around.obj")
-        edit = session.document.edits_of(number)[0]
-        await page.do(do="pose.set", edit=edit.id, vertices=cage.twist(60).vertices.tolist())
-        await page.do(do="object.copy", id=number, offset=[0, 1.5, 0])
-        await page.do(do="stage.save", file="all.stage.json")
-
-    with_pages(test, folder, session=session)
+    await page.do(do="object.add", file="cube.glb", beside=True)
+    await page.until(lambda: len(page.sections["objects"]) == 2)
+    section = page.sections["objects"][1]
+    assert section["size"] == f"{len(cube.faces)} triangles" and section["file"] == "cube.glb"
+    np.testing.assert_allclose(section["bounds"], cube.bounds, atol=1e-6)
+    number = section["id"]
+    assert session.document.scene_object(number).place.moved(cube.bounds)[0, 0] > session.field.bounds[1, 0]
+    await page.do(do="object.change", id=number, place={"position": [1.4, 0, 0], "turn": [0, 0, 30]})
+    await page.do(do="cage.generate", count=24, method="voxel")
+    await page.until(lambda: any(edit.object_id == number for edit in session.document.edits))
+    around = session.document.edits_of(number)[0].rest_cage
+    assert around.contains(cube.vertices).all()
+    edit = session.document.edits_of(number)[0]
+    await page.do(do="edit.delete", id=edit.id)
+    cage.save(folder / "around.obj")
+    await page.do(do="cage.load", file="around.obj")
+    edit = session.document.edits_of(number)[0]
+    await page.do(do="pose.set", edit=edit.id, vertices=cage.twist(60).vertices.tolist())
+    await page.do(do="object.copy", id=number, offset=[0, 1.5, 0])
+    await page.do(do="stage.save", file="all.stage.json")
     document, fields = session.document, session.fields
     assert [scene_object.file for scene_object in document.objects] == [None, "cube.glb", "cube.glb"]
     mesh = SurfaceMesh(cube.vertices, cube.faces, colors=colors)
@@ -391,12 +349,8 @@ def test_a_mesh_is_added_placed_posed_copied_hidden_and_kept(folder):
     expected = stage.render(view).rgb
     np.testing.assert_allclose(scene.render(view).rgb, expected, atol=0.01)
     opened = Stage.load(folder / "all.stage.json")
-    for name in ("ball",):
-        opened.replace(name, fields.main)
+    opened.replace("ball", fields.main)
     np.testing.assert_allclose(opened.render(view).rgb, expected, atol=0.01)
-    hidden = run_command(rest, {"do": "object.change", "id": rest.objects[1].id, "visible": False})[1]
-    hidden = run_command(hidden, {"do": "object.remove", "id": rest.objects[2].id})[1]
-    np.testing.assert_allclose(picture(hidden, fields, (48, 36)), fields.main.render(view).rgb, atol=0.01)
     checked = inspect(document, document.edits_of(document.objects[1].id)[0].id, mesh)
     assert checked["inside_share"] == 1.0 and not checked["leaking_faces"]
     cut = warpcage.Cage.box((-0.5, -0.5, -0.5), (0.0, 0.5, 0.5))
@@ -513,16 +467,12 @@ def test_a_stage_is_saved_rendered_by_the_library_and_opened(folder):
         warpcage.edit(folder / "three.stage.json", BOX, session=folder / "new.session.json")
 
 
-def test_objects_are_baked_into_one_field(folder):
-    session = session_in(folder)
-
-    async def test(server, page):
-        await page.do(do="object.add", file="green.npz", place={"position": [2, 0, 0]})
-        await page.do(do="export", what="bake", file="both.npz")
-        await page.until(lambda: page.sections["jobs"] and page.sections["jobs"][-1]["state"] != "running")
-        assert page.sections["jobs"][-1]["state"] == "done", page.sections["jobs"][-1]
-
-    with_pages(test, folder, session=session)
+@on_pages
+async def test_objects_are_baked_into_one_field(server, page, session, folder):
+    await page.do(do="object.add", file="green.npz", place={"position": [2, 0, 0]})
+    await page.do(do="export", what="bake", file="both.npz")
+    await page.until(lambda: page.sections["jobs"] and page.sections["jobs"][-1]["state"] != "running")
+    assert page.sections["jobs"][-1]["state"] == "done", page.sections["jobs"][-1]
     both = warpcage.VoxelField.load(folder / "both.npz")
     assert both.bounds[1][0] > 2.4
     camera = warpcage.Camera.look_at((1, -8, 0), (1, 0, 0), width=60, height=30, fov_degrees=40)

@@ -236,12 +236,16 @@ async def test_the_latest_pose_wins(host, page):
     await page.do(do="drag.end")
 
 
-@on_pages
-async def test_a_film_plays_stops_for_a_hand_and_ends_with_the_last_page(host, page, other):
+async def key_two_poses(page):
     await page.do(do="key.add", time=0.0, pose=True)
     await page.do(do="time", time=1.0)
     await page.do(do="pose.set", edit=1, vertices=(REST * 1.5).tolist())
     await page.do(do="key.add", time=1.0, pose=True)
+
+
+@on_pages
+async def test_a_film_plays_stops_for_a_hand_and_ends_with_the_last_page(host, page, other):
+    await key_two_poses(page)
     await page.do(do="timeline", length=1.0, loop="ping-pong")
     steps = len(host.session.history.undo_steps)
     await other.do(do="play", on=True)
@@ -264,10 +268,7 @@ async def test_a_film_plays_stops_for_a_hand_and_ends_with_the_last_page(host, p
 
 @on_pages
 async def test_a_film_plays_from_its_start_where_no_key_lies_ahead(host, page):
-    await page.do(do="key.add", time=0.0, pose=True)
-    await page.do(do="time", time=1.0)
-    await page.do(do="pose.set", edit=1, vertices=(REST * 1.5).tolist())
-    await page.do(do="key.add", time=1.0, pose=True)
+    await key_two_poses(page)
     await page.do(do="time", time=1.5)  # the film is 4 s long: still pictures alone from here on
     await page.do(do="play", on=True)
     await page.until(lambda: 1.01 < page.posed()[7, 0] / REST[7, 0] < 1.49)

@@ -30,7 +30,6 @@ from warpcage.studio.editor import (
     same_pose,
     view_camera,
 )
-from warpcage.studio.editor import renderer as renderer_module
 
 simplejpeg = pytest.importorskip("simplejpeg")
 
@@ -222,32 +221,6 @@ def test_a_sharp_picture_is_the_frame_of_the_settings(document):
     deformer = warpcage.Deformer(field, edit.rest_cage, resolution=16).pose(edit.posed_cage)
     assert warpcage.psnr(picture, deformer.render(view_camera(posed.view, 48, 32)).rgb) > 33.0
     assert set(header["masks"]) == {"fold", "reveal", "outside"}
-
-
-def test_the_newest_request_wins(document, monkeypatch):
-    field, scene = document
-    begun, go_on = threading.Event(), threading.Event()
-    render = renderer_module.PosedScene.render
-
-    def slow(self, *args, **options):
-        begun.set()
-        assert go_on.wait(120)
-        return render(self, *args, **options)
-
-    shown = Shown()
-    renderer = Renderer(field, shown)
-    try:
-        monkeypatch.setattr(renderer_module.PosedScene, "render", slow)
-        renderer.request(request(scene, moving=True, number=1))
-        assert begun.wait(120)
-        for number in range(2, 30):
-            renderer.request(request(bent(scene, number), moving=True, number=number))
-        go_on.set()
-        shown.wait(lambda header: header["applied"]["1"] == 29)
-    finally:
-        go_on.set()
-        renderer.close()
-    assert {header["applied"]["1"] for header in shown.headers} <= {1, 29}
 
 
 def test_a_pose_that_cannot_be_used_is_reported_and_the_next_one_shown(document):

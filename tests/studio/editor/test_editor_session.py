@@ -16,7 +16,7 @@ import pytest
 
 aiohttp = pytest.importorskip("aiohttp")
 
-from editor_pages import BOX, WAIT, new_session, pages, tiny_field, with_pages
+from editor_pages import BOX, WAIT, new_session, on_pages, pages, tiny_field
 from runs import SUPPORT
 
 from warpcage import VoxelField, edit
@@ -181,6 +181,7 @@ def test_three_hundred_steps_go_back_and_forth():
     assert len(session.history.undo_steps) == 300
     for document in reversed(seen):
         session.undo()
+        assert session.document.next_id == last.next_id  # numbers are given once
         assert all(getattr(session.document, part) is getattr(document, part) for part in ("edits", "timeline"))
         assert session.document.selection == document.selection and session.document.settings == document.settings
     with pytest.raises(ValueError, match="nothing to undo"):
@@ -188,6 +189,8 @@ def test_three_hundred_steps_go_back_and_forth():
     for _ in seen:
         session.redo()
     assert session.document.edits is last.edits and session.document.timeline is last.timeline
+    with pytest.raises(ValueError, match="nothing to redo"):
+        session.redo()
 
 
 def test_scrubbing_loses_no_pose():
@@ -343,21 +346,23 @@ def test_a_full_disk_while_saving_loses_nothing_and_is_reported(tmp_path, monkey
     np.testing.assert_array_equal(read(path).edits[0].posed, REST * 1.1)
 
 
-def test_pages_show_that_the_disk_is_full_and_that_it_is_not(tmp_path, monkeypatch):
+@pytest.fixture
+def session(tmp_path, monkeypatch):
+    """A session of a server that saves it at once."""
     monkeypatch.setattr("warpcage.studio.editor.server.SAVE_SECONDS", 0.01)
-    path = tmp_path / "ball.session.json"
+    return new_session(tmp_path / "ball.session.json")
 
-    async def test(host, page):
-        await page.until(lambda: page.sections["session"]["saved"])
-        with monkeypatch.context() as patch:
-            patch.setattr(pathlib.Path, "write_text", full_disk)
-            await page.drag(REST * 1.1)
-            await page.until(lambda: "no space left" in (page.sections["session"]["save_error"] or ""))
-            await page.drag(REST * 1.2)
-        await page.until(lambda: page.sections["session"]["save_error"] is None)
-        np.testing.assert_array_equal(read(path).edits[0].posed, REST * 1.2)
 
-    with_pages(test, tmp_path, session=new_session(path))
+@on_pages
+async def test_pages_show_that_the_disk_is_full_and_that_it_is_not(host, page, session, monkeypatch):
+    await page.until(lambda: page.sections["session"]["saved"])
+    with monkeypatch.context() as patch:
+        patch.setattr(pathlib.Path, "write_text", full_disk)
+        await page.drag(REST * 1.1)
+        await page.until(lambda: "no space left" in (page.sections["session"]["save_error"] or ""))
+        await page.drag(REST * 1.2)
+    await page.until(lambda: page.sections["session"]["save_error"] is None)
+    np.testing.assert_array_equal(read(session.path).edits[0].posed, REST * 1.2)
 
 
 def test_a_file_that_another_program_wrote_is_never_saved_over(tmp_path):
@@ -392,22 +397,17 @@ def test_a_file_that_was_deleted_is_written_again(tmp_path):
     drag(session, REST * 1.1)
     session.save()
     assert session.path == path and session.save_error is None
-    np.testing.assert_array_equal(read(path).edits[0].posed, REST * 1.1)
+    np.testing.assert_array_equal(read(session.path).edits[0].posed, REST * 1.1)
 
 
-def test_pages_show_when_another_program_wrote_the_file(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.studio.editor.server.SAVE_SECONDS", 0.01)
-    path = tmp_path / "ball.session.json"
-
-    async def test(host, page):
-        await page.until(lambda: page.sections["session"]["saved"])
-        path.write_text("theirs")
-        await page.drag(REST * 1.1)
-        await page.until(lambda: page.sections["session"]["name"] == "ball.1.session.json")
-        await page.until(lambda: page.notices)
-        assert "ball.1.session.json" in page.notices[0] and len(page.notices) == 1
-
-    with_pages(test, tmp_path, session=new_session(path))
+@on_pages
+async def test_pages_show_when_another_program_wrote_the_file(host, page, session):
+    await page.until(lambda: page.sections["session"]["saved"])
+    session.path.write_text("theirs")
+    await page.drag(REST * 1.1)
+    await page.until(lambda: page.sections["session"]["name"] == "ball.1.session.json")
+    await page.until(lambda: page.notices)
+    assert "ball.1.session.json" in page.notices[0] and len(page.notices) == 1
 
 
 def test_several_threads_that_save_do_not_take_each_other_for_another_program(tmp_path, monkeypatch):
@@ -431,24 +431,19 @@ def test_several_threads_that_save_do_not_take_each_other_for_another_program(tm
         thread.join(WAIT)
     session.save()
     assert os.listdir(tmp_path) == [path.name] and session.save_error is None
-    np.testing.assert_array_equal(read(path).edits[0].posed, posed(session))
+    np.testing.assert_array_equal(read(session.path).edits[0].posed, posed(session))
 
 
-def test_a_session_is_saved_while_its_film_plays(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.studio.editor.server.SAVE_SECONDS", 0.01)
-    path = tmp_path / "ball.session.json"
-
-    async def test(host, page):
-        await page.do(do="key.add", time=0.0, pose=True)
-        await page.do(do="key.add", time=1.0, camera=True)
-        await page.do(do="timeline", loop="loop")
-        await page.do(do="play", on=True)
-        await page.do(do="settings", background="white")
-        while not path.exists() or read(path).settings.background != "white":
-            await asyncio.sleep(0.01)
-        assert host.player.playing
-
-    with_pages(test, tmp_path, session=new_session(path))
+@on_pages
+async def test_a_session_is_saved_while_its_film_plays(host, page, session):
+    await page.do(do="key.add", time=0.0, pose=True)
+    await page.do(do="key.add", time=1.0, camera=True)
+    await page.do(do="timeline", loop="loop")
+    await page.do(do="play", on=True)
+    await page.do(do="settings", background="white")
+    while not session.path.exists() or read(session.path).settings.background != "white":
+        await asyncio.sleep(0.01)
+    assert host.player.playing
 
 
 DAMAGES = {
@@ -516,8 +511,7 @@ def test_a_killed_server_leaves_a_whole_session_that_goes_on(tmp_path):
     async def work():
         lines = iter(process.stdout.readline, "")
         address = await asyncio.get_running_loop().run_in_executor(None, lambda: next(x for x in lines if "http" in x))
-        server = type("Running", (), {"address": address.strip()})
-        async with pages(server) as (page,):
+        async with pages(address.strip()) as (page,):
             for number in range(1, 6):
                 await page.drag(REST * (1 + number / 10))
                 await page.do(do="key.add", time=float(number), pose=True)

@@ -9,22 +9,16 @@ pytest.importorskip("aiohttp")
 pytest.importorskip("simplejpeg")
 
 from editor_pages import BOX, nothing_logged, with_pages  # noqa: F401
+from splat_scenes import ball_of_splats
 
 import warpcage
-from warpcage import SplatField
 from warpcage.splats import field_size, load_field
 from warpcage.studio.editor import Session, export_baked, inspect, new_document
 
 
 @pytest.fixture(scope="module")
 def splats():
-    """A ball of 400 splats, red above and blue below, which lies in BOX."""
-    rng = np.random.default_rng(0)
-    places = rng.normal(size=(400, 3))
-    places *= 0.5 / np.linalg.norm(places, axis=1, keepdims=True)
-    colors = np.where(places[:, 2:] > 0, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])[:, None]
-    turns = np.tile([1.0, 0, 0, 0], (400, 1))
-    return SplatField(places, np.full((400, 3), np.log(0.03)), turns, np.full(400, 3.0), colors, up=(0, 0, 1))
+    return ball_of_splats()
 
 
 def posed_document(field, cage):

@@ -214,12 +214,6 @@ def test_films_are_those_that_one_thread_writes(tmp_path, monkeypatch, name, cha
     assert (one != two).sum() <= (16 if name.endswith("webm") else 0)  # its track has a random number, twice
 
 
-def test_frames_of_several_kinds_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=MESSAGES["view.frames_one_size"]):
-        write_film(tmp_path / "a.mov", [np.zeros((4, 4, 3)), np.zeros((4, 4, 4))])
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_gif_that_memory_cannot_hold_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(film, "GIF_LOOK", 4 * 34 * 47 * 3)
     monkeypatch.setattr("warpcage.core.memory.LITTLE", 0)

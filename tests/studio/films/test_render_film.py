@@ -175,14 +175,6 @@ def test_a_folder_goes_on_after_an_interrupt(deformer, field, tmp_path):
     np.testing.assert_array_equal(held(again), bits(frames_of(field, BENDS[::-1], [CAMERA] * 3)))
 
 
-def test_frames_that_are_equal_are_rendered_once(deformer, tmp_path, monkeypatch):
-
-    render, count = Look.render, []
-    monkeypatch.setattr(Look, "render", lambda *argv, **options: count.append(1) or render(*argv, **options))
-    warpcage.render_film(deformer, tmp_path / "film.gif", poses=[BENDS[0], BENDS[1], BENDS[1]], camera=CAMERA)
-    assert len(count) == 2
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -25,6 +25,7 @@ def folder(tmp_path):
     Cage(BENT.vertices, np.roll(BENT.faces, 1, axis=0)).save(tmp_path / "shuffled.obj")
     poses = PoseFile(BOX, {"frame 0": BOX, "frame 1": BENT})
     poses.save(tmp_path / "poses.json")
+    PoseFile(BOX, {"a": BENT}).save(tmp_path / "one.pc2")
     poses.times = {"frame 0": 0.0, "frame 1": 1 / 24}
     for ending in MOVING_ENDINGS:
         poses.save(tmp_path / f"walk{ending}")
@@ -43,6 +44,7 @@ def resolvers(folder):
         "posed.obj",
         "y.obj",
         "shuffled.obj",
+        "one.pc2",
         "poses.json*frame 1",
         "poses.json*1",
         "walk.pc2*frame 1",

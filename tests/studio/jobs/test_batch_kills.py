@@ -16,7 +16,7 @@ import pytest
 from makers import Deadly, Deaf, Endless, Full, Hostless, Late, Making, Moody, Unwritten, Waiting
 from messages import MESSAGES
 from refusals import refused
-from runs import SUPPORT, left_over, pictures, records, run_with, write_frames
+from runs import SUPPORT, command, left_over, pictures, records, run_with, write_frames
 
 import warpcage
 from warpcage.core import cpu_threads
@@ -57,9 +57,9 @@ def run_by(address, *given, **options):
     return run_with(*given, cluster=address, **options)
 
 
-def words_of(address, job, out):
+def command_of(address, job, out):
     argv = ["run", job, "-o", out, "--device", "cpu", "--quiet", "--workers", 2]
-    return [*map(str, argv), *(["--cluster", address] if address else [])]
+    return command(*argv, *(["--cluster", address] if address else []))
 
 
 @pytest.fixture(scope="module")
@@ -227,10 +227,9 @@ def test_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines, m
 @RAY_AT_NIGHT
 def test_kills_of_the_driver_cost_nothing(address, job, whole, tmp_path, at_night):
     out, chance = tmp_path / "out", random.Random()
-    argv = words_of(address, job, out)
     notes, made, kills = out / ".warpcage" / "notes", 0, 0
     while kills < KILLS_OF_DRIVERS[at_night]:
-        driver = subprocess.Popen([sys.executable, "-m", "warpcage", *argv], stderr=subprocess.PIPE)
+        driver = subprocess.Popen(command_of(address, job, out), stderr=subprocess.PIPE)
         here = made + chance.randint(1, FRAMES // 6)  # so that there is something left for all
         while driver.poll() is None and here > (made := count_of(notes, out)):
             time.sleep(0.003)
@@ -337,13 +336,7 @@ def test_workers_that_cannot_start_end_the_run_in_one_line(address, tmp_path):
 @RAY_AT_NIGHT
 def test_an_interrupt_keeps_what_is_made(address, job, whole, tmp_path):
     out = tmp_path / "out"
-    program = (
-        "import signal, sys\nfrom warpcage.studio.cli import main\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)"
-    )
-    argv = words_of(address, job, out)
-    line = [sys.executable, "-c", f"{program}\nsys.exit(main(sys.argv[1:]))", *argv]
-    driver = subprocess.Popen(line, stderr=subprocess.PIPE, text=True)
+    driver = subprocess.Popen(command_of(address, job, out), stderr=subprocess.PIPE, text=True)
     while driver.poll() is None and count_of(out / ".warpcage" / "notes", out) < 5:
         time.sleep(0.02)
     driver.send_signal(signal.SIGINT)
@@ -360,8 +353,8 @@ def test_an_interrupt_keeps_what_is_made(address, job, whole, tmp_path):
 def test_clusters_that_do_not_answer_are_refused(job, tmp_path, capsys):
     """In a process of its own: this one is connected already."""
     pytest.importorskip("ray", reason="clusters need Ray")
-    argv = ["run", job, "-o", tmp_path / "out", "--cluster", "127.0.0.1:1", "--quiet"]
-    done = subprocess.run([sys.executable, "-m", "warpcage", *argv], capture_output=True, text=True)
+    argv = command("run", job, "-o", tmp_path / "out", "--cluster", "127.0.0.1:1", "--quiet")
+    done = subprocess.run(argv, capture_output=True, text=True)
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert done.stderr.startswith("warpcage: error: no Ray cluster answers at '127.0.0.1:1'"), done.stderr
 

@@ -57,8 +57,8 @@ class SteppedEngine(SimulatedEngine):
         return answers
 
     def submit(self, worker, method, *given):
-        assert not (self.stopped and method == "run"), "a chunk is sent after the end"
-        if method == "run":
+        assert not (self.stopped and method in ("run", "begin")), "a chunk is sent after the end"
+        if method in ("run", "begin"):
             (chunk,) = given
             assert self.starts[worker] and len(self.works.get(worker, [])) < 2
             if chunk.shard is not None:
@@ -211,7 +211,7 @@ class Run(RuleBasedStateMachine):
                 self.engine.submit(name, "recall", work.chunk.number, share)
 
     @running
-    @rule(name=names, number=st.integers(1, 9), answer=st.sampled_from([("begun", None), ("recall", [0])]))
+    @rule(name=names, number=st.integers(1, 9), answer=st.sampled_from([("begin", None), ("recall", [0])]))
     def a_worker_answers_twice_or_too_late(self, name, number, answer):
         chunks = [work.chunk.number for work in self.engine.works.get(name, []) if not work.begun]
         if self.engine.starts.get(name) and number not in chunks:

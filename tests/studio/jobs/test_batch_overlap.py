@@ -60,7 +60,7 @@ def runner_of(files, out, maker, **options):
     folder = OutputFolder(out)
     folder.prepare()
     with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
-        runner = ChunkRunner(maker, job.reader.item, lambda item: "", notes, {}, **options)
+        runner = ChunkRunner(maker, job.reader, lambda item: "", notes, {}, **options)
 
         def order(number, *indices):
             lines = [(job.data(index), job.line(index)) for index in indices]
@@ -72,21 +72,17 @@ def runner_of(files, out, maker, **options):
 def test_items_of_a_chunk_are_made_while_files_of_the_one_before_are_written(files, tmp_path):
     maker = Writing()
     with runner_of(files, tmp_path / "out", maker) as (runner, order):
-        reports = threading.Thread(target=runner.begun, args=[1])
-        reports.start()
-        assert reports.is_alive()
-        first = runner.begin(order(1, 0, 1))
-        reports.join(60)
-        second = runner.begin(order(2, 2, 3, 4))
-        assert set(maker.futures) == {0, 1, 2, 3, 4} and not first.report.done
-        assert (runner.oldest(1)[0], runner.oldest(2)[0]) == (0, 2) and runner.recall(1, 1.0) == []
+        runner.begin(order(1, 0, 1))
+        runner.begin(order(2, 2, 3, 4))
+        assert set(maker.futures) == {0, 1, 2, 3, 4}
+        assert runner.oldest()[0] == 0 and runner.recall(1, 1.0) == []
         maker.write(2, 3, 4)  # those of the second chunk are there first
-        report = runner.settle(second)
-        assert (report.done, report.left) == ([2, 3, 4], []) and runner.oldest(2) is None and runner.oldest(1)[0] == 0
+        report = runner.settle(2)
+        assert (report.done, report.left) == ([2, 3, 4], []) and runner.oldest()[0] == 0
         maker.write(1)
         maker.write(0, error=ValueError("no"))
-        report = runner.settle(first)
-        assert (report.done, report.failed, report.left) == ([1], [(0, "no")], []) and runner.oldest(1) is None
+        report = runner.settle(1)
+        assert (report.done, report.failed, report.left) == ([1], [(0, "no")], []) and runner.oldest() is None
     notes = [json.loads(line) for line in (tmp_path / "out/.warpcage/notes/a.jsonl").read_text().splitlines()]
     assert [note.get("lot") for note in notes[:5]] == [1, 1, 2, 2, 2] and len(notes) == 10
 
@@ -109,24 +105,24 @@ def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
     """From its beginning until its files are written, whatever was begun later."""
     maker = Held()
     with runner_of(files, tmp_path / "out", maker) as (runner, order):
-        assert runner.oldest(1) is None
+        assert runner.oldest() is None
         reports = []
         working = threading.Thread(target=lambda: reports.append(runner.run(order(1, 3, 7))))
         working.start()
         assert maker.begun.acquire(timeout=60)
-        index, first = runner.oldest(1)
-        assert index == 3 and runner.oldest(2) is None and runner.oldest(1)[1] >= first >= 0.0
+        index, first = runner.oldest()
+        assert index == 3 and runner.oldest()[1] >= first >= 0.0
         maker.go.release()
         assert maker.begun.acquire(timeout=60)  # of the second; the files of the first are being written
-        assert runner.oldest(1)[0] == 3
+        assert runner.oldest()[0] == 3
         maker.written[0].set_result({"a": 1})
-        assert runner.oldest(1)[0] == 7
+        assert runner.oldest()[0] == 7
         maker.go.release()
         while len(maker.written) < 2:
             time.sleep(0.01)
         maker.written[1].set_result({"b": 1})
         working.join(60)
-        assert runner.oldest(1) is None and reports[0].done == [3, 7]
+        assert runner.oldest() is None and reports[0].done == [3, 7]
 
 
 def test_a_chunk_ends_with_its_time_and_loading_is_distinguished(files, tmp_path, monkeypatch):
@@ -158,9 +154,9 @@ def test_a_device_that_is_lost_ends_the_chunk_that_is_made_too(files, tmp_path):
         raise RuntimeError("no device")
 
     with runner_of(files, tmp_path / "out", maker, check_device=lost) as (runner, order):
-        first = runner.begin(order(1, 0))
+        runner.begin(order(1, 0))
         maker.write(0, error=RuntimeError("illegal address"))
-        assert runner.settle(first).broken == "RuntimeError: no device"
+        assert runner.settle(1).broken == "RuntimeError: no device"
         report = runner.run(order(2, 1, 2))
         assert report.left == [1, 2] and set(maker.futures) == {0}
 
@@ -191,7 +187,7 @@ def test_a_worker_dies_with_two_chunks(begun_of_second):
     chunks.append(dispatcher.next_chunk("a", 0.1))
     done, begun = chunks[0].items[:-3], [*chunks[0].items[-3:], *chunks[1].items[:begun_of_second]]
     assert dispatcher.died("a", ChunkReport(done=done, seconds=[0.1] * len(done)), begun, "killed") == []
-    assert [dispatcher.attempts(item) for item in begun] == [0] * (len(begun) - 1) + [1]
+    assert [dispatcher.attempts[item] for item in begun] == [0] * (len(begun) - 1) + [1]
     made, alone = list(done), []
     while (chunk := dispatcher.next_chunk("b", 1.0)) is not None:
         made += chunk.items
@@ -208,7 +204,7 @@ class Scripted:
         self.settings, self.play, self.futures = settings, play, {}
 
     def ask(self, name, *given):
-        number = given[0].number if name == "run" else given[0] if given else None
+        number = given[0].number if name == "begin" else given[0] if given else None
         future = self.futures[name, number] = concurrent.futures.Future()
         self.play(self, name, *given)
         return future
@@ -237,15 +233,15 @@ def driven(files, tmp_path, monkeypatch):
         first = settings.notes == "run-0-1"
 
         def play(process, name, *given):
-            if name == "run":
+            if name == "begin":
                 seen.orders.append((first, given[0]))
             if first and script(seen, process, name, *given):
                 return
-            if name == "run":
-                order = given[0]
-                process.answer(name, ChunkReport(done=order.items, seconds=[1.0] * len(order.items)), order.number)
-            elif name in ("facts", "begun"):
-                process.answer(name, {}, *given)
+            if name == "settle":
+                items = next(order.items for _, order in seen.orders if order.number == given[0])
+                process.answer(name, ChunkReport(done=items, seconds=[1.0] * len(items)), *given)
+            elif name in ("facts", "begin"):
+                process.answer(name, {}, *(order.number for order in given))
 
         return play
 
@@ -259,7 +255,8 @@ def driven(files, tmp_path, monkeypatch):
             return seen.processes[-1]
 
         host = types.SimpleNamespace(start=start, share=Share(2, 0, 0, 1, "cpu"), patience=1e9, work=lambda: None)
-        with JobFile(files / "jobs.jsonl") as job, RunJournal(job, folder) as journal:
+        with JobFile(files / "jobs.jsonl") as job:
+            journal = RunJournal(job, folder)
             engine = ProcessEngine(host, RunnerSettings("", job.reader, "", "run"))
             engine.now = now
             seen.dispatcher = Dispatcher(ChunkQueue(np.arange(12), np.zeros(12)))
@@ -281,11 +278,11 @@ def note(folder, *lines):
 
 def test_chunks_beside_one_whose_device_is_lost_are_as_they_were_noted(driven):
     def script(seen, process, name, *given):
-        if name == "run" and given[0].number == 2:
+        if name == "begin" and given[0].number == 2:
             lines = [(0, 1, "started"), (3, 2, "started"), (4, 2, "started"), (3, 2, "done")]
             note(seen.folder, *lines)
-            process.answer("run", ChunkReport(errors=[(0, "x")], left=[1, 2], broken="no device"), 1)
-        return name == "run"
+            process.answer("settle", ChunkReport(errors=[(0, "x")], left=[1, 2], broken="no device"), 1)
+        return name == "settle"
 
     seen = driven(script)
     assert [order.items for first, order in seen.orders if first] == [[0, 1, 2], [3, 4, 5]]
@@ -297,21 +294,21 @@ def test_chunks_beside_one_whose_device_is_lost_are_as_they_were_noted(driven):
 
 
 def test_a_worker_whose_item_is_late_is_ended_and_that_item_is_blamed(driven):
-    """It is asked once an item can be late, of that chunk alone; what it had of the other is made again."""
+    """It is asked once an item can be late; what it had besides is made again."""
     asked = []
 
     def script(seen, process, name, *given):
-        if name == "run" and given[0].number == 2:
+        if name == "begin" and given[0].number == 2:
             note(seen.folder, (0, 1, "started"), (1, 1, "started"), (3, 2, "started"))
             seen.now = 95.0
         if name == "oldest":
-            asked.append((seen.now, *given))
-            process.answer(name, (1, 100.5 if len(asked) > 1 else 59.0), 1)
-        return name in ("run", "oldest")
+            asked.append(seen.now)
+            process.answer(name, (1, 100.5 if len(asked) > 1 else 59.0))
+        return name in ("settle", "oldest")
 
     seen = driven(script, item_timeout=100.0)
-    (first, number), (second, again) = asked  # it began 59 s before
-    assert number == again == 1 and 100.0 < first < 110.0 and 41.0 <= second - first < 50.0
+    first, second = asked  # it began 59 s before
+    assert 100.0 < first < 110.0 and 41.0 <= second - first < 50.0
     assert "the item took longer than 100 s" in seen.lines[0]
     again = [
         pair for first, order in seen.orders if not first for pair in zip(order.items, order.attempts, strict=True)
@@ -323,11 +320,11 @@ def test_a_worker_whose_item_is_late_is_ended_and_that_item_is_blamed(driven):
 
 def test_a_worker_that_is_asked_and_answers_nothing_is_ended(driven):
     def script(seen, process, name, *given):
-        if name == "run" and given[0].number == 2:
+        if name == "begin" and given[0].number == 2:
             seen.now = 101.0
         if name == "oldest":
             seen.now += 61.0
-        return name in ("run", "oldest")
+        return name in ("settle", "oldest")
 
     seen = driven(script, item_timeout=100.0)
     assert seen.lines == ["worker 0: its worker was ended: it did not answer for 60 s: it is started again"]

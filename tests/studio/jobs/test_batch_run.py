@@ -1,6 +1,5 @@
 """`warpcage run` by one worker: what is there is kept, what fails is listed, full disks and interrupts lose nothing."""
 
-import json
 import os
 import pathlib
 import re
@@ -15,7 +14,7 @@ import pytest
 from makers import Making, Moody
 from messages import MESSAGES
 from refusals import refused
-from runs import RECORDS, SUPPORT, left_over, pictures, records, run_with, write_frames, write_records
+from runs import RECORDS, SUPPORT, command, left_over, pictures, records, run_with, write_frames, write_records
 
 import warpcage
 from warpcage.studio.cli import main
@@ -159,12 +158,8 @@ def test_workers_of_a_driver_that_was_killed_are_waited_for(tmp_path, monkeypatc
 def test_an_ended_run_goes_on_where_it_was(files, tmp_path, sign):
     """By one worker, which is the driver."""
     path, out = write_frames(tmp_path / "job", 250), tmp_path / "out"
-    program = (
-        "import signal, sys\nfrom warpcage.studio.cli import main\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\nsys.exit(main(sys.argv[1:]))"
-    )
-    argv = ["run", path, "-o", out, "--device", "cpu", "--quiet"]
-    driver = subprocess.Popen([sys.executable, "-c", program, *map(str, argv)], stderr=subprocess.PIPE, text=True)
+    argv = command("run", path, "-o", out, "--device", "cpu", "--quiet")
+    driver = subprocess.Popen(argv, stderr=subprocess.PIPE, text=True)
     while len(list((out / "shot").glob("*.png") if (out / "shot").exists() else ())) < 10:
         assert driver.poll() is None, driver.stderr.read()
         time.sleep(0.02)
@@ -200,26 +195,6 @@ def test_a_job_file_that_changes_while_it_runs_ends_the_run(tmp_path):
     some = len(records(out))
     assert 0 < some < 30 and left_over(out) == []
     assert run_with(path, out, Making).made == 30 - some
-
-
-def test_a_field_that_changes_while_it_runs_is_read_again(files, tmp_path):
-    """Or an item would be noted with the new field's hash and show the old one."""
-    folder, out = tmp_path / "job", tmp_path / "out"
-    path = write_frames(folder, 4)
-    from warpcage import VoxelField
-    from warpcage.studio.jobs import Fingerprints, JobFile, Worker
-
-    with JobFile(path) as job, Worker(folder, out, "cpu") as worker:
-        prints, item = Fingerprints(folder), job.item(1)
-        before = prints.of(item)
-        worker.run(item)
-        old = pictures(out)
-        density = np.full((8, 8, 8), 40.0)
-        bounds = [[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]]
-        VoxelField.from_dense(density, np.zeros((8, 8, 8, 9, 3)), bounds).save(folder / "ball.npz")
-        assert prints.of(item) != before
-        worker.run(item)
-        assert pictures(out) != old
 
 
 NO_ROOM = """\
@@ -385,62 +360,61 @@ def test_a_shard_is_packed_without_what_failed_and_again_with_it(tmp_path):
     assert run_with(path, out).made == 1 and pictures(out) == whole
 
 
-@pytest.mark.parametrize("step", ["before it is packed", "while it is packed", "before its files are deleted"])
+def run_and_kill(path, out, statements):
+    """A run that ends where statements put `kill`."""
+    program = (
+        "import os, pathlib, signal, sys, types\nsys.path.insert(0, sys.argv[3])\nfrom runs import run_with\n"
+        "from warpcage.studio.jobs import manifest, webdataset\nfrom warpcage.studio.jobs.engines import chunk_runner\n"
+        "kill = lambda *given, **options: os.kill(os.getpid(), signal.SIGKILL)\n"
+        f"{statements}\nrun_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
+    )
+    line = [sys.executable, "-c", program, str(path), str(out), SUPPORT]
+    assert subprocess.run(line).returncode == -signal.SIGKILL
+
+
+KILLS_OF_SHARDS = {
+    "before it is packed": "chunk_runner.pack_shard = kill",
+    "while it is packed": "webdataset.add_files = kill",
+    "before its files are deleted": "webdataset.shutil = types.SimpleNamespace(rmtree=kill)",
+}
+
+
+@pytest.mark.parametrize("step", KILLS_OF_SHARDS)
 def test_a_kill_while_a_shard_is_packed_loses_nothing(tmp_path, step):
     path, out = write_records(tmp_path / "job", 12, RECORDS), tmp_path / "out"
     assert run_with(path, out).complete
     whole = pictures(out)
     shutil.rmtree(out)
-    place, name = {
-        "before it is packed": ("engines.chunk_runner", "pack_shard"),
-        "while it is packed": ("webdataset", "add_files"),
-        "before its files are deleted": ("webdataset", "shutil"),
-    }[step]
-    program = (
-        "import os, pathlib, signal, sys, types\nsys.path.insert(0, sys.argv[3])\nfrom runs import run_with\n"
-        f"import warpcage.studio.jobs.{place} as place\n"
-        "kill = lambda *given, **options: os.kill(os.getpid(), signal.SIGKILL)\n"
-        f"place.{name} = {'types.SimpleNamespace(rmtree=kill)' if name == 'shutil' else 'kill'}\n"
-        "run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
-    )
-    line = [sys.executable, "-c", program, str(path), str(out), SUPPORT]
-    assert subprocess.run(line).returncode == -signal.SIGKILL
+    run_and_kill(path, out, KILLS_OF_SHARDS[step])
     report = run_with(path, out)
     assert report.complete and report.kept >= 5 and pictures(out) == whole and left_over(out) == []
     assert len(records(out)) == 12
 
 
 KILLS = {
-    "between files and their note": "append, count = place.Notes.append, []\n"
-    "def fatal(notes, record):\n"
-    "    count.append(record['state'])\n"
-    "    if record['state'] == 'done' and count.count('done') == 5: kill()\n"
-    "    append(notes, record)\n"
-    "place.Notes.append = fatal\n",
-    "in the middle of a note": "class Torn(place.Notes):\n"
-    "    count = 0\n"
-    "    def append(self, record):\n"
-    "        Torn.count += 1\n"
-    '        if Torn.count == 12: os.write(self.file.fileno(), b\'{"id": "shot\'); kill()\n'
-    "        super().append(record)\n"
-    "place.Notes = Torn\n",
-    "before the manifest is replaced": "place.atomic_path = kill\n",
-    "before notes are removed": "unlink = pathlib.Path.unlink\n"
-    "pathlib.Path.unlink = lambda path, **more: (kill if path.parent.name == 'notes' else unlink)(path, **more)\n",
+    "between files and their note": """append, count = manifest.Notes.append, []
+def fatal(notes, record):
+    count.append(record['state'])
+    if record['state'] == 'done' and count.count('done') == 5: kill()
+    append(notes, record)
+manifest.Notes.append = fatal""",
+    "in the middle of a note": """class Torn(manifest.Notes):
+    count = 0
+    def append(self, record):
+        Torn.count += 1
+        if Torn.count == 12: os.write(self.file.fileno(), b'{"id": "shot'); kill()
+        super().append(record)
+manifest.Notes = Torn""",
+    "before the manifest is replaced": "manifest.atomic_path = kill",
+    "before notes are removed": """unlink = pathlib.Path.unlink
+pathlib.Path.unlink = lambda path, **more: (kill if path.parent.name == 'notes' else unlink)(path, **more)""",
 }
 
 
 @pytest.mark.parametrize("step", KILLS)
 def test_a_kill_at_any_step_loses_nothing(files, tmp_path, step):
     path, out = files / "jobs.jsonl", tmp_path / "out"
-    program = (
-        "import os, pathlib, signal, sys\nsys.path.insert(0, sys.argv[3])\nfrom runs import run_with\n"
-        "import warpcage.studio.jobs.manifest as place\n"
-        "kill = lambda *given, **options: os.kill(os.getpid(), signal.SIGKILL)\n"
-        f"{KILLS[step]}run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
-    )
-    line = [sys.executable, "-c", program, str(path), str(out), SUPPORT]
-    assert subprocess.run(line).returncode == -signal.SIGKILL
+    run_and_kill(path, out, KILLS[step])
     report = run_with(path, out)
     noted = {"between files and their note": 4, "in the middle of a note": 0}.get(step, 12)
     assert report.complete and report.kept >= noted and report.kept + report.made == 12
@@ -460,13 +434,6 @@ def test_a_shard_that_cannot_be_packed_is_reported(tmp_path, monkeypatch):
         report = run_with(path, out)
     assert report.failed == {"shard-000001.tar": "RuntimeError: no tar today"} and report.made == 12
     assert run_with(path, out).complete and len(list(out.glob("*.tar"))) == 3 and left_over(out) == []
-
-
-def test_a_folder_of_records_is_a_scene(tmp_path):
-    path, out = write_records(tmp_path / "job", 6, {"kind": "folder"}), tmp_path / "out"
-    assert run_with(path, out).complete
-    assert len(json.loads((out / "transforms.json").read_text())["frames"]) == 6 == len(records(out))
-    assert len(warpcage.load_scene(out).images) > 4
 
 
 def test_workers_that_do_not_pay_are_reported_as_soon_as_an_item_is_timed(tmp_path):

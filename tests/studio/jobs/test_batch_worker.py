@@ -152,17 +152,16 @@ def test_an_inline_camera_and_cage_are_those_of_files(files, tmp_path):
 @pytest.mark.parametrize(
     ("keys", "argv"),
     [
-        ({"posed": "twist:30:up"}, "--posed twist:30:up"),
-        ({"posed": "poses.json#wave", "size": 20}, "--posed @poses.json:wave --size 20"),
-        ({"posed": "posed.obj", "size": [20, 30]}, "--posed @posed.obj --size 20x30"),
+        ({"posed": "twist:30:up"}, "--posed twist:30:up --resolution 24"),
+        ({"posed": "posed.obj", "size": 20}, "--posed @posed.obj --size 20 --resolution 24"),
+        ({"posed": "posed.obj", "size": [20, 30]}, "--posed @posed.obj --size 20x30 --resolution 24"),
+        ({"posed": "posed.obj", "resolution": None}, "--posed @posed.obj"),  # the lattice follows the picture's size
     ],
 )
-def test_poses_and_sizes_of_a_line_mean_what_those_of_render_mean(files, tmp_path, keys, argv):
-    rest = Cage.load(files / "cage.obj")
-    PoseFile(rest, {"wave": rest.bend(30, axis="x", towards="z"), "other": rest}).save(files / "poses.json")
+def test_poses_sizes_and_lattices_of_a_line_are_those_of_render(files, tmp_path, keys, argv):
     with Worker(files, tmp_path, "cpu") as worker:
         worker.run(frame(**keys))
-    given = "--cage @cage.obj --camera @cameras.json:0 --coordinates mean_value --resolution 24 --device cpu"
+    given = "--cage @cage.obj --camera @cameras.json:0 --coordinates mean_value --device cpu"
     assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *given.split(), *argv.split()) == 0
     assert (tmp_path / "x.png").read_bytes() == (tmp_path / "frame_0001.png").read_bytes()
 
@@ -183,16 +182,6 @@ def test_a_pose_is_a_keyframe_of_any_file_that_has_some(files, tmp_path, ending)
             np.testing.assert_allclose(np.load(tmp_path / "1.npy"), poses["frame 1"].vertices, atol=1e-6)
         refused(lambda: worker.run(frame(posed=f"walk{ending}")), match="holds 2 keyframes: name one, as in walk")
         refused(lambda: worker.run(frame(posed=f"walk{ending}#no")), match="there is no keyframe 'no'")
-
-
-def test_the_lattice_follows_the_size_of_the_picture_as_it_does_for_render(files, tmp_path):
-    with Worker(files, tmp_path, "cpu") as worker:
-        worker.run(frame(resolution=None, posed="posed.obj"))
-        ((_, bound),) = worker.frames.kept.items()
-        assert bound.deformer.resolution == 64
-    argv = ["--cage", "@cage.obj", "--posed", "@posed.obj", "--camera", "@cameras.json:0", "--device", "cpu"]
-    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *argv, "--coordinates", "mean_value") == 0
-    assert (tmp_path / "x.png").read_bytes() == (tmp_path / "frame_0001.png").read_bytes()
 
 
 def test_several_edits_and_a_field_as_it_is(files, tmp_path):

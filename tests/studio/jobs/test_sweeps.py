@@ -10,18 +10,7 @@ from runs import run, succeed, write_files
 
 from warpcage import Cage, Camera, CameraFile, PoseFile, RandomPoses, VoxelField, load_scene, run_jobs, turntable
 from warpcage.cage import POSE_MODES
-from warpcage.studio.jobs import (
-    GivenSource,
-    JobFile,
-    RandomSource,
-    RandomViews,
-    Worker,
-    finish_folder,
-    foresee,
-    read_shard,
-    staged_shards,
-    write_sweep,
-)
+from warpcage.studio.jobs import GivenSource, JobFile, RandomSource, RandomViews, Worker, foresee, write_sweep
 
 SWEEP = ("sweep", "@ball.npz", "--cage", "@cage.obj", "--device", "cpu", "--quiet")
 
@@ -138,21 +127,6 @@ def drawn_cameras(made, pose):
     """Cameras of a pose of which a run made pictures."""
     return [name[-7:-4] for name in made if name.startswith(f"pose_{pose:06d}/") and name.endswith(".png")
             and "alpha" not in name]  # fmt: skip
-
-
-def test_shards_of_drawn_poses_are_those_of_written_ones(files, tmp_path):
-    argv = ["--poses", "random:3", "--records", "webdataset", "--items-per-shard", 2]
-    drawn, _ = made_by_a_run(files, tmp_path / "drawn", *argv)
-    made_by_a_run(files, tmp_path / "written", *argv, "--write-poses")
-    assert sorted(name for name in drawn if name.endswith(".tar")) == [f"shard-00000{k}.tar" for k in range(3)]
-    for shard in range(3):
-        name = f"made/shard-00000{shard}.tar"
-        pairs = zip(read_shard(tmp_path / "drawn" / name), read_shard(tmp_path / "written" / name), strict=True)
-        for one, two in pairs:
-            assert [one[part] for part in ("png", "depth.npy", "pose.npy")] == [
-                two[part] for part in ("png", "depth.npy", "pose.npy")
-            ]
-            assert json.loads(one["json"])["edits"][0]["posed"]["random"]["number"] == shard
 
 
 def test_a_run_makes_those_drawn_poses_again_whose_spec_or_cage_changed(files, tmp_path):
@@ -334,44 +308,6 @@ def test_each_pose_may_be_seen_from_some_of_the_cameras(files, tmp_path):
         chosen.setdefault(item.extra["pose"], []).append(item.extra["camera"])
     assert len(chosen) == 30 and all(len(set(cameras)) == 2 for cameras in chosen.values())
     assert {tuple(cameras) for cameras in chosen.values()} == {(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)}
-
-
-def test_a_sweep_is_made_and_loads_as_scenes(files, tmp_path):
-    argv = ["--poses", "bend:30", "--cameras", "orbit:3", "--size", 32, "--resolution", 24]
-    succeed(files, *SWEEP, *argv, "--coordinates", "mean_value", "-o", tmp_path / "jobs/sweep.jsonl")
-    done = {}
-    with JobFile(tmp_path / "jobs/sweep.jsonl") as job, Worker(job.folder, tmp_path / "out", "cpu") as worker:
-        for item in job.items():
-            done[item.id] = {"id": item.id, "state": "done", "outputs": worker.run(item)}
-        finish_folder(tmp_path / "out", job, type("Manifest", (), {"find": staticmethod(done.get)}))
-        assert worker.frames.counts.poses == 1
-    scene = load_scene(tmp_path / "out/pose_000000", split="all")
-    cameras = CameraFile.load(tmp_path / "jobs/sweep.cameras.json")
-    for camera, key in zip(scene.cameras, cameras, strict=True):
-        np.testing.assert_allclose(camera.camera_to_world, key.camera.camera_to_world, atol=1e-12)
-        assert camera.fx == pytest.approx(key.camera.fx)
-    assert scene.alphas is not None and 0.05 < scene.alphas.mean() < 0.9
-
-
-def test_shards_of_a_run_are_made_again_to_the_byte(files, tmp_path):
-    """Also with an item that failed before, one that is new, and a shard that was lost."""
-    argv = ["--poses", "rest", "bend:30", "--cameras", "@cameras.json", "--resolution", 16, "--records", "webdataset"]
-    argv += ["--coordinates", "mean_value", "--items-per-shard", 3, "-o", tmp_path / "sweep.jsonl"]
-    succeed(files, *SWEEP, *argv)
-    out, lines = tmp_path / "out", (tmp_path / "sweep.jsonl").read_text().splitlines(keepends=True)
-    broken = lines[2].replace("cameras.json#1", "cameras.json#99")
-    (tmp_path / "sweep.jsonl").write_text("".join([*lines[:2], broken, *lines[3:]]))
-    report = run_jobs(tmp_path / "sweep.jsonl", out, device="cpu")
-    assert list(report.failed) == ["pose_000000/camera_001"]
-    assert [len(list(read_shard(path))) for path in sorted(out.glob("*.tar"))] == [2, 3, 2]
-    (tmp_path / "sweep.jsonl").write_text("".join(lines))
-    (out / "shard-000001.tar").unlink()
-    report = run_jobs(tmp_path / "sweep.jsonl", out, device="cpu")
-    assert (report.kept, len(report.failed)) == (4, 0)
-    run_jobs(tmp_path / "sweep.jsonl", tmp_path / "again", device="cpu")
-    assert len(list(out.glob("*.tar"))) == 3 and not staged_shards(out)
-    for path in out.glob("*.tar"):
-        assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
 
 
 def test_the_depth_of_a_record_is_that_of_the_posed_surface(tmp_path):
