@@ -336,10 +336,10 @@ def step_splats(
     means: SplatValues,
     squares: SplatValues,
     colors: wp.array(dtype=wp.vec3),
-    directions: wp.array(dtype=wp.vec3),
+    weights: wp.array2d(dtype=wp.float32),
 ):
-    """Step all values but the harmonics, and make the splats of them. colors, directions: (n,) slopes by the colors
-    and where they are seen from, for `step_harmonics`. missed: 1 where nothing may move."""
+    """Step all values but the harmonics, and make the splats of them. colors: (n,) slopes by the colors; weights:
+    (n, bases) slopes of those by the harmonics, 0 for what is not seen. missed: 1 where nothing may move."""
     # floors: (n,) least logarithms of scales, or empty
     n = first + wp.tid()
     now = step[0]
@@ -348,9 +348,11 @@ def step_splats(
     found = row_slopes(splats, n, lens[0], logs, quaternion, view, sums)
     is_seen = wp.length_sq(found.direction) > 0.0
     colors[n] = found.color
-    directions[n] = found.direction
+    basis = sh_basis(found.direction)
+    for b in range(16):
+        if b < weights.shape[1]:
+            weights[n, b] = wp.where(is_seen, basis[b], 0.0)
     if missed[0] == 1:
-        directions[n] = wp.vec3()
         return
     opacity = splats.opacities[n]
     center = values.centers[n]
@@ -408,7 +410,7 @@ def step_harmonics(
     step: wp.array(dtype=SplatStep),
     missed: wp.array(dtype=wp.int32),
     colors: wp.array(dtype=wp.vec3),
-    directions: wp.array(dtype=wp.vec3),
+    weights: wp.array2d(dtype=wp.float32),
     values: wp.array2d(dtype=wp.float32),
     means: wp.array2d(dtype=wp.float32),
     squares: wp.array2d(dtype=wp.float32),
@@ -418,14 +420,10 @@ def step_harmonics(
     n = item // bases
     b = item % bases
     now = step[0]
-    direction = directions[n]
-    is_seen = wp.length_sq(direction) > 0.0
+    is_seen = weights[n, 0] > 0.0
     if missed[0] == 1 or not (is_seen or now.every == 1):
         return
-    basis = sh_basis(direction)
-    weight = basis[b]
-    if not is_seen:
-        weight = 0.0
+    weight = weights[n, b]
     color = colors[n]
     rate = wp.where(b == 0, now.rate_colors, now.rate_harmonics)
     for channel in range(3):

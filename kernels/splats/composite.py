@@ -23,6 +23,7 @@ def drawn_pixel(
     x: float,
     y: float,
     inside: int,
+    with_depth: int,
     stop: float,
 ) -> vec5:
     """Red, green, blue and depth, weighted, and what is left of the light, of a pixel with its center at x, y.
@@ -44,7 +45,7 @@ def composite_pixels(
     depth: wp.array(dtype=wp.float32),
 ):
     """One thread per pixel of the tiles, 32 of them 8x4 pixels. Outputs (h * w,); depth: expected distance along the
-    ray, world units, inf where almost nothing is seen."""
+    ray, world units, inf where almost nothing is seen, or (0,)."""
     # view: (3 n,) of splats/project. members: splats of tiles, front to back; starts: (tiles + 1,) of each tile.
     n = first + wp.tid()
     tile = n // (TILE_SIDE * TILE_SIDE)
@@ -56,16 +57,18 @@ def composite_pixels(
     inside = 0
     if column < tiles.width and row < tiles.height:
         inside = 1
-    seen = drawn_pixel(
-        view, members, starts[tile], starts[tile + 1], float(column) + 0.5, float(row) + 0.5, inside, stop
-    )
+    with_depth = wp.min(depth.shape[0], 1)
+    x = float(column) + 0.5
+    y = float(row) + 0.5
+    seen = drawn_pixel(view, members, starts[tile], starts[tile + 1], x, y, inside, with_depth, stop)
     if inside == 1:
         at = row * tiles.width + column
         left = seen[4]
         opacity = 1.0 - left
         rgb[at] = wp.vec3(seen[0], seen[1], seen[2]) + left * background
         alpha[at] = opacity
-        depth[at] = wp.where(opacity > DEPTH_MIN_ALPHA, seen[3] / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
+        if with_depth == 1:
+            depth[at] = wp.where(opacity > DEPTH_MIN_ALPHA, seen[3] / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
 
 
 #: Sums of a splat.

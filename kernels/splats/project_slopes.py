@@ -87,23 +87,25 @@ def color_slope(splats: Splats, n: int, direction: wp.vec3, by_color: wp.vec3):
     basis = sh_basis(direction)
     count = (splats.degree + 1) * (splats.degree + 1)
     color = wp.vec3(0.5, 0.5, 0.5)
-    for b in range(count):
-        coefficient = wp.vec3(
-            splats.harmonics[n, 3 * b], splats.harmonics[n, 3 * b + 1], splats.harmonics[n, 3 * b + 2]
-        )
-        color += basis[b] * coefficient
+    for b in range(16):  # unrolled, so that the basis stays in registers
+        if b < count:
+            coefficient = wp.vec3(
+                splats.harmonics[n, 3 * b], splats.harmonics[n, 3 * b + 1], splats.harmonics[n, 3 * b + 2]
+            )
+            color += basis[b] * coefficient
     g = wp.vec3(
         wp.where(color[0] > 0.0, by_color[0], 0.0),
         wp.where(color[1] > 0.0, by_color[1], 0.0),
         wp.where(color[2] > 0.0, by_color[2], 0.0),
     )
     weights = vec16()
-    for b in range(count):
-        weights[b] = (
-            g[0] * splats.harmonics[n, 3 * b]
-            + g[1] * splats.harmonics[n, 3 * b + 1]
-            + g[2] * splats.harmonics[n, 3 * b + 2]
-        )
+    for b in range(16):
+        if b < count:
+            weights[b] = (
+                g[0] * splats.harmonics[n, 3 * b]
+                + g[1] * splats.harmonics[n, 3 * b + 1]
+                + g[2] * splats.harmonics[n, 3 * b + 2]
+            )
     return forward_only(basis_slope(direction, weights), direction), forward_only(g, by_color)
 
 

@@ -51,10 +51,11 @@ def splat_color(splats: Splats, n: int, direction: wp.vec3):
     green = float(0.5)
     blue = float(0.5)
     count = (splats.degree + 1) * (splats.degree + 1)
-    for b in range(count):
-        red += basis[b] * splats.harmonics[row, 3 * b]
-        green += basis[b] * splats.harmonics[row, 3 * b + 1]
-        blue += basis[b] * splats.harmonics[row, 3 * b + 2]
+    for b in range(16):  # unrolled, so that the basis stays in registers
+        if b < count:
+            red += basis[b] * splats.harmonics[row, 3 * b]
+            green += basis[b] * splats.harmonics[row, 3 * b + 1]
+            blue += basis[b] * splats.harmonics[row, 3 * b + 2]
     return forward_only(wp.max(wp.vec3(red, green, blue), wp.vec3(0.0, 0.0, 0.0)), direction)
 
 

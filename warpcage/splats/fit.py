@@ -155,7 +155,8 @@ class SplatGradients(SplatRenderer):
         keys, members = self._write(grid, total, seen)
         sources = self._write_sources(grid, total, keys) if self.device.is_cpu else None
         starts = self._sort(grid, total, keys, members)
-        rgb, alpha, depth = self._rgb.take(pixels), self._alpha.take(pixels), self._depth.take(pixels)
+        rgb, alpha = self._rgb.take(pixels), self._alpha.take(pixels)
+        depth = self._depth.take(pixels if self.device.is_cpu else 0)  # a GPU draws none: it is not asked for
         inputs = [seen[1], members, starts, grid]
         self._composite(grid, [*inputs, color, STOP_TRANSMITTANCE], [rgb, alpha, depth])
         self._drawn = grid, seen, inputs, sources, total, rgb

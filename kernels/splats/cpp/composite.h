@@ -1,6 +1,8 @@
 wp::vec_t<5, wp::float32> seen;
 #if defined(__CUDA_ARCH__)
-__shared__ float4 rows[8][32][3];
+// shared memory is what bounds this: numbers of a splat are read in the order in which they are needed
+__shared__ float4 places[8][32];
+__shared__ float2 shapes[8][32], reds[8][32], blues[8][32], leans[8][32];
 const int warp = (threadIdx.x >> 5) & 7, lane = threadIdx.x & 31;
 const float4* rows_of = reinterpret_cast<const float4*>(view.data);
 const int* member = reinterpret_cast<const int*>(members.data);
@@ -24,10 +26,13 @@ for (int base = begin; base < end; base += 32)
     const unsigned which = __ballot_sync(0xffffffffu, touched);
     if (touched)
     {
-        float4* slot = rows[warp][__popc(which & ((1u << lane) - 1u))];
-        slot[0] = a;
-        slot[1] = b;
-        slot[2] = row[2];
+        const int slot = __popc(which & ((1u << lane) - 1u));
+        const float4 c = row[2];
+        places[warp][slot] = a;
+        shapes[warp][slot] = make_float2(b.x, b.y);
+        reds[warp][slot] = make_float2(b.z, b.w);
+        blues[warp][slot] = make_float2(c.x, c.y);
+        leans[warp][slot] = make_float2(c.z, c.w);
     }
     __syncwarp();
     const int count = __popc(which);
@@ -36,13 +41,16 @@ for (int base = begin; base < end; base += 32)
 #include "warp_power.h"
         if (power >= -7.994353437f && T > stop)
         {
-            const float4 c = rows[warp][k][2];
-            const float alpha = fminf(exp2f(power), 0.999f);
+            const float2 rg = reds[warp][k];
             const float weight = alpha * T;
-            red += weight * b.z;
-            green += weight * b.w;
-            blue += weight * c.x;
-            depth += weight * (c.y + c.z * dx + c.w * dy);
+            red += weight * rg.x;
+            green += weight * rg.y;
+            blue += weight * blues[warp][k].x;
+            if (with_depth)
+            {
+                const float2 lean = leans[warp][k];
+                depth += weight * (blues[warp][k].y + lean.x * dx + lean.y * dy);
+            }
             T -= weight;
         }
     }

@@ -43,7 +43,8 @@ class Stepper:
         numbers = {f"rate_{name}": rate for name, rate in RATES.items()} | {"rate_colors": COLORS}
         numbers |= {"beta1": 0.9, "beta2": 0.999, "epsilon": 1e-15, "every": 1, "most_log_scale": 30.0} | changes
         self.numbers = numbers
-        self.colors, self.directions = (wp.zeros(self.count, dtype=wp.vec3, device=device) for _ in range(2))
+        self.colors = wp.zeros(self.count, dtype=wp.vec3, device=device)
+        self.weights = wp.zeros((self.count, 16), dtype=wp.float32, device=device)
         self.missed = wp.zeros(2, dtype=wp.int32, device=device)
         self.floors = wp.zeros(0, dtype=wp.float32, device=device)
 
@@ -71,9 +72,9 @@ class Stepper:
         found = {name: getattr(slopes, name).numpy().astype(np.float64) for name in KINDS}
         rows = [growing.values, growing.means, growing.squares]
         inputs = [growing.splats, self.lens, steps, self.missed, self.floors, view, sums, *rows]
-        launch(splat_step.step_splats, self.count, inputs, [self.colors, self.directions], device=device)
+        launch(splat_step.step_splats, self.count, inputs, [self.colors, self.weights], device=device)
         bases = growing.numbers // 3
-        inputs = [bases, steps, self.missed, self.colors, self.directions]
+        inputs = [bases, steps, self.missed, self.colors, self.weights]
         arrays = [each.harmonics for each in rows]
         launch(splat_step.step_harmonics, self.count * bases, inputs, arrays, device=device)
         return found, unseen

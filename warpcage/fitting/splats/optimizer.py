@@ -41,7 +41,7 @@ from .start import Start, fitted_scene, scene_units, shrunk_camera, starting_spl
 NEAR = 0.01
 
 #: Room for entries of splats in tiles, of the most that any picture was seen to have; and for how few at least.
-ROOM_SHARE, MIN_ROOM = 1.5, 1 << 16
+ROOM_SHARE, MIN_ROOM = 1.25, 1 << 16
 
 #: Pictures that are counted to find that room, and the share of it above which it is found anew.
 COUNTED_VIEWS, FULL_SHARE = 24, 0.85
@@ -169,7 +169,9 @@ class SplatFit(HeldOnDevice):
         self._counter = wp.zeros(1, dtype=wp.int32, device=self.device)
         self._step: wp.array = empty_array(1, splat_step.SplatStep, self.device)
         self._lens: wp.array = empty_array(1, project.Lens, self.device)
-        self._colors, self._directions = (empty_array(self.growing.room, wp.vec3, self.device) for _ in range(2))
+        self._colors: wp.array = empty_array(self.growing.room, wp.vec3, self.device)
+        bases = (self.options.degree + 1) ** 2
+        self._weights_of_bases: wp.array = empty_array((self.growing.room, bases), wp.float32, self.device)
         floors = self.growing.room if self.options.least_scale > 0.0 else 0
         self._floors: wp.array = empty_array(floors, wp.float32, self.device)
         bits = PRECISIONS[0] if picture_bytes(scene, 16) <= PICTURE_SHARE * self.memory_limit else PRECISIONS[-1]
@@ -393,11 +395,11 @@ class SplatFit(HeldOnDevice):
         sums = view.sum_slopes(slopes)
         rows = [splats.values, splats.means, splats.squares]
         inputs = [splats.splats, self._lens, self._step, view.missed, self._floors, seen, sums, *rows]
-        outputs = [self._colors, self._directions]
+        outputs = [self._colors, self._weights_of_bases]
         launch(splat_step.step_splats, splats.count, inputs, outputs, device=device, work=3 * PROJECT_WORK)
         bases = (splats.splats.degree + 1) ** 2
         arrays = [rows[0].harmonics, rows[1].harmonics, rows[2].harmonics]
-        inputs = [bases, self._step, view.missed, self._colors, self._directions]
+        inputs = [bases, self._step, view.missed, self._colors, self._weights_of_bases]
         launch(splat_step.step_harmonics, splats.count * bases, inputs, arrays, device=device)
 
     def measure_psnr(self) -> float:
