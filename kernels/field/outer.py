@@ -15,6 +15,7 @@ from ..core.lanes import ballot, from_lane, grid_place, index_from_lane, product
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .background import BackgroundLayers, layer_value, surface_sample
 from .grid import eight_rows, eight_weights, exit_distance, steps_to_sample
+from .outer_bricks import ACROSS_BITS, BRICK_CELLS, OuterBricks, brick_value, reads_textures
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -43,6 +44,7 @@ class OuterGrid:
     skip: wp.array3d(dtype=wp.uint8)  # (n-1, n-1, n-1) cells to the nearest that holds anything, as in field/grid
     values: wp.array(dtype=wp.vec4)  # (rows,) red, green, blue, density per unit of contracted length
     sky: BackgroundLayers  # one layer, at infinity
+    bricks: OuterBricks  # the values once more, for frames on a GPU
 
 
 @wp.struct
@@ -283,6 +285,14 @@ def outer_sample(outer: OuterGrid, g: wp.vec3):
 
 
 @wp.func
+def outer_value(outer: OuterGrid, g: wp.vec3):
+    """Value at node coordinates in a cell that holds anything, by the texture units of a GPU."""
+    if reads_textures() == 1:
+        return brick_value(outer.bricks, g, BRICK_CELLS, ACROSS_BITS)
+    return outer_sample(outer, g).value
+
+
+@wp.func
 def shown_color(value: wp.vec4):
     """Colour of a sample, not below zero."""
     return wp.max(wp.vec3(value[0], value[1], value[2]), wp.vec3(0.0, 0.0, 0.0))
@@ -324,7 +334,7 @@ def outer_step(outer: OuterGrid, piece: OuterPiece, k: int, light: float, lane: 
 @wp.func
 def march_outer(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: float, end: float, lane: int, lanes: int):
     """Colour before what is behind, and the light that is left, of a ray between two distances, outside the box.
-    lanes: 1, or all of core/lanes, at one ray."""
+    lanes: all of core/lanes, at one ray, or 1, which reads `bricks` on a GPU."""
     color = wp.vec3()
     light = float(1.0)
     path = outer_path(outer, origin, direction, begin, end)
@@ -333,11 +343,24 @@ def march_outer(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: fl
         piece = outer_piece(outer, origin, direction, turn)
         k = int(0)
         while k < piece.count and light > OUTER_STOP:
-            step = outer_step(outer, piece, k, light, lane, lanes)
-            if step.has_matter > 0:
-                color += step.before * (1.0 - step.kept) * shown_color(step.sample.value)
-            light = step.light
-            k = step.following
+            if lanes > 1:
+                step = outer_step(outer, piece, k, light, lane, lanes)
+                if step.has_matter > 0:
+                    color += step.before * (1.0 - step.kept) * shown_color(step.sample.value)
+                light = step.light
+                k = step.following
+            else:
+                g = outer_place(outer, piece, k)
+                empty = outer_empty(outer, g)
+                if empty > 0:
+                    k = sample_after(piece, k, g, empty)
+                else:
+                    value = outer_value(outer, g)
+                    if value[3] > 0.0:
+                        kept = wp.exp(-value[3] * piece.length)
+                        color += light * (1.0 - kept) * shown_color(value)
+                        light *= kept
+                    k += 1
         turn = turn_after(path, turn)
     if lanes > 1:
         for channel in range(3):

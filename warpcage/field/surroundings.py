@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import PointsLike, as_given, as_host_points, empty_array
 from ..core.checks import checked_positive, checked_vector
-from ..core.devices import launch, resolve_device
+from ..core.devices import half_texture, launch, resolve_device
 from ..core.modules import Kernel
 from ..core.names import counted
 from ..core.threads import device_turn, in_turn
 from ..errors import InputError
 from ..kernels.field.background import BackgroundLayers, add_background, sample_background
 from ..kernels.field.outer import OuterGrid, compose_outer, dim_pixels, sample_outer
+from ..kernels.field.outer_bricks import ACROSS_BITS, BRICK_CELLS, BRICK_NODES, OuterBricks, fill_bricks, mark_bricks
 from ..view.camera import Camera, camera_struct, tile_threads
 from .io.field_file import LayerContents, OuterContents, surface_node_count
 from .sparse import measure_skip, values_on_device
@@ -188,6 +189,17 @@ class OuterField:
                 grid.values = wp.array(host, dtype=wp.vec4, device=self.device)
             grid.skip = measure_skip(grid.links)
         self.grid = grid  # positions in it are relative to the centre
+        self._bricks: list[wp.Texture3D] | None = None  # of `shown_grid`, which holds its handle alone
+
+    def shown_grid(self) -> Any:
+        """The grid as frames read it: on CUDA with the texture of its values, made when it is first asked for."""
+        if self.device.is_cuda and self._bricks is None:
+            self._bricks = _texture_of_bricks(self.grid)
+        return self.grid
+
+    def forget_bricks(self) -> None:
+        """Make the texture anew for the next frame: the values have changed."""
+        self._bricks = None
 
     @property
     def side(self) -> int:
@@ -235,7 +247,7 @@ class OuterField:
     def sample(self, origins: ArrayLike, directions: ArrayLike) -> np.ndarray:
         """Colours (n, 3) float32 that rays see of it, with nothing in the box, from origins (n, 3), world units.
         directions: (n, 3), of any length but zero."""
-        return seen_by_rays(sample_outer, self.grid, self.center, origins, directions, self.device)
+        return seen_by_rays(sample_outer, self.shown_grid(), self.center, origins, directions, self.device)
 
     def add_around(
         self, camera: Camera, rgb: wp.array, alpha: wp.array, depth: wp.array, masks: Sequence[wp.array] = ()
@@ -243,7 +255,7 @@ class OuterField:
         """Put what is around the box before and behind a view on black: rgb, alpha and masks (h * w,), all changed.
         depth: (h * w,) float32 distance of what the view shows, inf where that is nothing."""
         light = empty_array(alpha.shape[0], wp.float32, self.device)
-        inputs = [self.grid, camera_struct(camera, self.center), depth]
+        inputs = [self.shown_grid(), camera_struct(camera, self.center), depth]
         launch(compose_outer, tile_threads(camera), inputs, [rgb, alpha, light], device=self.device)
         for mask in masks:
             launch(dim_pixels, mask.shape[0], [light], [mask], device=self.device)
@@ -255,6 +267,31 @@ class OuterField:
             return self
         grid = self.grid
         return OuterField(self.center, self.half, grid.links, grid.values, sky=grid.sky.values, device=device)
+
+
+def _texture_of_bricks(grid: Any) -> list[wp.Texture3D]:
+    """The texture of an OuterGrid on CUDA, which gets it; none where it holds nothing."""
+    cells, nodes, device = int(BRICK_CELLS), int(BRICK_NODES), grid.links.device
+    count = -(-grid.skip.shape[0] // cells)
+    marks = wp.zeros((count, count, count), dtype=wp.int32, device=device)
+    launch(mark_bricks, grid.skip.size, [grid.skip], [marks], device=device)
+    places = np.argwhere(marks.numpy())
+    numbers = np.full((count, count, count), -1, np.int32)
+    numbers[tuple(places.T)] = np.arange(len(places))
+    bricks: Any = OuterBricks()
+    bricks.numbers = wp.array(numbers, dtype=wp.int32, device=device)
+    if not len(places):
+        return []
+    across = 1 << int(ACROSS_BITS)
+    sides = -(-len(places) // across**2), min(-(-len(places) // across), across), min(len(places), across)
+    texture = half_texture((nodes * sides[0], nodes * sides[1], nodes * sides[2]), device)
+    listed = wp.array(places.astype(np.int32), dtype=wp.vec3i, device=device)
+    inputs = [listed, grid.links, grid.values, wp.uint64(texture.cuda_surface)]
+    launch(fill_bricks, nodes**3 * len(places), inputs, device=device)
+    wp.synchronize_stream(device.stream)  # frames of other streams may be the next to read it
+    bricks.texture = texture.cuda_texture
+    grid.bricks = bricks  # structs are copied as they are set
+    return [texture]
 
 
 def sky_layers(sky: Any, device: wp.Device) -> Any:

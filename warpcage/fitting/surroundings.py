@@ -514,6 +514,7 @@ class OuterOptimizer:
         inputs = [rates.outer, rates.outer_density * 0.25 * self.outer.side, self.options.beta, EPSILON]
         outputs = [total, self.moments, self.outer.grid.values]
         launch(outer_loss.apply_outer_rmsprop, rows, inputs, outputs, device=self.device)
+        self.outer.forget_bricks()
 
     # State
 

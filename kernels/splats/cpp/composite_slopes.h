@@ -2,6 +2,8 @@
 // A lane is a pixel while splats are drawn. Every eight of them, four lanes are a splat, and each sums a row of pixels.
 __shared__ float4 places[8][32];
 __shared__ float2 shapes[8][32], reds[8][32], blues[8][32], kept[8][8][37];
+__shared__ float totals[8][72];
+__shared__ int numbers[8][8];
 const int warp = (threadIdx.x >> 5) & 7, lane = threadIdx.x & 31, line = lane & 3;
 const float gx = slope.c[0], gy = slope.c[1], gz = slope.c[2];
 if (__ballot_sync(0xffffffffu, gx != 0.0f || gy != 0.0f || gz != 0.0f) == 0u)
@@ -50,14 +52,18 @@ const auto add_kept = [&]()
     const float b1 = (odd ? a3 : a1) + __shfl_xor_sync(0xffffffffu, odd ? a1 : a3, 1);
     last += __shfl_xor_sync(0xffffffffu, last, 2);
     last += __shfl_xor_sync(0xffffffffu, last, 1);
-    if ((lane >> 2) < filled)
+    // numbers that lie beside each other are added together
+    float* joined = &totals[warp][9 * (lane >> 2)];
+    joined[2 * line] = b0;
+    joined[2 * line + 1] = b1;
+    if (line == 0)
     {
-        float* sum = sum_of + 9 * (size_t)own;
-        atomicAdd(sum + 2 * line, b0);
-        atomicAdd(sum + 2 * line + 1, b1);
-        if (line == 0)
-            atomicAdd(sum + 8, last);
+        joined[8] = last;
+        numbers[warp][lane >> 2] = own;
     }
+    __syncwarp();
+    for (int i = lane; i < 9 * filled; i += 32)
+        atomicAdd(sum_of + 9 * (size_t)numbers[warp][i / 9] + i % 9, totals[warp][i]);
     filled = 0;
     __syncwarp();
 };
