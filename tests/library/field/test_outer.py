@@ -38,9 +38,15 @@ def test_the_oracle_contracts_as_published():
     np.testing.assert_allclose(oracle.contract(face * 1.000001), face, atol=2e-6)
 
 
-def test_colors_match_numpy(device):
+def allowed(device, error):
+    """An error that is allowed: texture units of a GPU place samples to 1/256 of a voxel and hold halves."""
+    return 4e-3 if wp.get_device(device).is_cuda else error
+
+
+@pytest.mark.parametrize("side", [12, 35])  # one brick along an axis of a GPU's texture, and several
+def test_colors_match_numpy(device, side):
     """To the cells of the seams: rays from within the box, around it, along its faces, and straight along axes."""
-    outer, values = oracle.random_outer(device, center=(0.3, -0.2, 0.5), half=HALF)
+    outer, values = oracle.random_outer(device, side=side, center=(0.3, -0.2, 0.5), half=HALF)
     origins, directions = oracle.rays_of(250)
     directions[:6] = np.concatenate([np.eye(3), -np.eye(3)])
     origins[6:12] = outer.center + [2.5, 0, 0]
@@ -53,7 +59,7 @@ def test_colors_match_numpy(device):
         expected.append(color + light * oracle.sky_color(outer, direction))
     error = np.abs(seen - expected).max(axis=1)
     # where a length is a whole number of steps, float32 may take one sample more
-    assert np.quantile(error, 0.97) < 3e-5 and error.max() < 2e-2
+    assert np.quantile(error, 0.97) < allowed(device, 3e-5) and error.max() < 2e-2
 
 
 def test_views_are_put_between_what_is_before_and_behind(device):
@@ -81,7 +87,7 @@ def test_views_are_put_between_what_is_before_and_behind(device):
         errors.append(np.abs(arrays[0].numpy()[n] - expected).max())
         assert arrays[1].numpy()[n] == pytest.approx(light * alpha[n], abs=5e-3)
         assert arrays[3].numpy()[n] == pytest.approx(light * mask[n], abs=5e-3)
-    assert np.quantile(errors, 0.95) < 1e-4 and max(errors) < 2e-2
+    assert np.quantile(errors, 0.95) < allowed(device, 1e-4) and max(errors) < 2e-2
 
 
 def whole_loss(device, by_sky, sky=None):
