@@ -407,6 +407,7 @@ def step_splats(
 def step_harmonics(
     first: int,
     bases: int,
+    together: int,
     step: wp.array(dtype=SplatStep),
     missed: wp.array(dtype=wp.int32),
     colors: wp.array(dtype=wp.vec3),
@@ -415,20 +416,23 @@ def step_harmonics(
     means: wp.array2d(dtype=wp.float32),
     squares: wp.array2d(dtype=wp.float32),
 ):
-    """Step the harmonics (n, 3 * all bases). One item per splat and each of the `bases` that are used yet."""
+    """Step the harmonics (n, 3 * all bases). One item per splat and `together` of the `bases` that are used yet: one
+    on CUDA, all on a CPU."""
     item = first + wp.tid()
-    n = item // bases
-    b = item % bases
-    now = step[0]
+    parts = bases // together
+    n = item // parts
+    begin = (item % parts) * together
     is_seen = weights[n, 0] > 0.0
-    if missed[0] == 1 or not (is_seen or now.every == 1):
+    if missed[0] == 1 or not (is_seen or step[0].every == 1):
         return
-    weight = weights[n, b]
+    now = step[0]
     color = colors[n]
-    rate = wp.where(b == 0, now.rate_colors, now.rate_harmonics)
-    for channel in range(3):
-        at = 3 * b + channel
-        change, m, v = adam_change(now, rate, weight * color[channel], means[n, at], squares[n, at])
-        values[n, at] = values[n, at] - change
-        means[n, at] = m
-        squares[n, at] = v
+    for b in range(begin, begin + together):
+        weight = weights[n, b]
+        rate = wp.where(b == 0, now.rate_colors, now.rate_harmonics)
+        for channel in range(3):
+            at = 3 * b + channel
+            change, m, v = adam_change(now, rate, weight * color[channel], means[n, at], squares[n, at])
+            values[n, at] = values[n, at] - change
+            means[n, at] = m
+            squares[n, at] = v

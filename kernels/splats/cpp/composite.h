@@ -1,33 +1,16 @@
 wp::vec_t<5, wp::float32> seen;
 #if defined(__CUDA_ARCH__)
-// shared memory is what bounds this: numbers of a splat are read in the order in which they are needed
 __shared__ float4 places[8][32];
 __shared__ float2 shapes[8][32], reds[8][32], blues[8][32], leans[8][32];
-const int warp = (threadIdx.x >> 5) & 7, lane = threadIdx.x & 31;
-const float4* rows_of = reinterpret_cast<const float4*>(view.data);
-const int* member = reinterpret_cast<const int*>(members.data);
-const float left = x - (float)(lane & 7), top = y - (float)(lane >> 3);
-const float low = top - 0.002f, high = top + 3.002f, right = left + 7.002f;
+#include "warp_members.h"
 float T = inside ? 1.0f : 0.0f, red = 0.0f, green = 0.0f, blue = 0.0f, depth = 0.0f;
 for (int base = begin; base < end; base += 32)
 {
     if (__ballot_sync(0xffffffffu, T > stop) == 0u)
         break;
-    bool touched = false;
-    float4 a, b;
-    const float4* row = rows_of;
-    if (base + lane < end)
-    {
-        row += 3u * (unsigned)member[base + lane];
-        a = row[0];
-        b = row[1];
-#include "warp_reach.h"
-    }
-    const unsigned which = __ballot_sync(0xffffffffu, touched);
+#include "warp_round.h"
     if (touched)
     {
-        const int slot = __popc(which & ((1u << lane) - 1u));
-        const float4 c = row[2];
         places[warp][slot] = a;
         shapes[warp][slot] = make_float2(b.x, b.y);
         reds[warp][slot] = make_float2(b.z, b.w);
@@ -35,7 +18,6 @@ for (int base = begin; base < end; base += 32)
         leans[warp][slot] = make_float2(c.z, c.w);
     }
     __syncwarp();
-    const int count = __popc(which);
     for (int k = 0; k < count; ++k)
     {
 #include "warp_power.h"

@@ -74,9 +74,10 @@ class Stepper:
         inputs = [growing.splats, self.lens, steps, self.missed, self.floors, view, sums, *rows]
         launch(splat_step.step_splats, self.count, inputs, [self.colors, self.weights], device=device)
         bases = growing.numbers // 3
-        inputs = [bases, steps, self.missed, self.colors, self.weights]
+        together = bases if self.device.is_cpu else 1
+        inputs = [bases, together, steps, self.missed, self.colors, self.weights]
         arrays = [each.harmonics for each in rows]
-        launch(splat_step.step_harmonics, self.count * bases, inputs, arrays, device=device)
+        launch(splat_step.step_harmonics, self.count * bases // together, inputs, arrays, device=device)
         return found, unseen
 
     def values(self):

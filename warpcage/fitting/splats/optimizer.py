@@ -398,9 +398,10 @@ class SplatFit(HeldOnDevice):
         outputs = [self._colors, self._weights_of_bases]
         launch(splat_step.step_splats, splats.count, inputs, outputs, device=device, work=3 * PROJECT_WORK)
         bases = (splats.splats.degree + 1) ** 2
-        arrays = [rows[0].harmonics, rows[1].harmonics, rows[2].harmonics]
-        inputs = [bases, self._step, view.missed, self._colors, self._weights_of_bases]
-        launch(splat_step.step_harmonics, splats.count * bases, inputs, arrays, device=device)
+        together = bases if device.is_cpu else 1
+        inputs = [bases, together, self._step, view.missed, self._colors, self._weights_of_bases]
+        arrays = [each.harmonics for each in rows]
+        launch(splat_step.step_harmonics, splats.count * bases // together, inputs, arrays, device=device)
 
     def measure_psnr(self) -> float:
         """PSNR in dB of the last picture that has pixels which count, over those alone, before its step."""
