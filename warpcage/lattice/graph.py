@@ -13,7 +13,7 @@ from .sizes import PoseSizes
 Launches = Callable[[], object]
 
 #: Cut nodes for one row of the tables of sides, at least, of most cages with narrow gaps.
-DEFAULT_SIDES = 2
+DEFAULT_SIDES = 4
 
 
 class PoseGraph:

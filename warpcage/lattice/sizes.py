@@ -81,10 +81,7 @@ class NodeSections:
 
     def roomier(self, share: float = NARROW_ROOM) -> NodeSections:
         """Lengths for launches and lists that serve other poses of the same cage as well."""
-        lengths, ring = self.lengths.copy(), 3 * self.level_count
-        # ring 1 is where a cage is bent: it varies the most, from a few nodes to half of ring 0
-        lengths[ring + 1] = max(lengths[ring + 1], lengths[ring] // 2)
-        return NodeSections(lengths + (share * lengths).astype(np.int64) + 32)
+        return NodeSections(self.lengths + (share * self.lengths).astype(np.int64) + 32)
 
     def larger(self, other: NodeSections) -> NodeSections:
         """The larger of two lengths of each section."""
