@@ -339,6 +339,7 @@ def test_a_pose_that_no_key_holds_is_marked_and_gone_back_to(window: Window, edi
     window.wait("warpcage.store.sections.timeline.keys.length === 1")
     window.click("#track")  # the middle of the film
     until(lambda: editor.document.time > 0, "the head is in the middle")
+    window.rest()
     assert not window.get("document.querySelector('#time-unkeyed').checkVisibility()")
     lowest, _ = below(window)
     window.drag([lowest, lowest + [8, 8], lowest + [50, 60]])

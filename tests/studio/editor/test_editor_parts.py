@@ -271,6 +271,8 @@ def test_handles_of_a_curve_are_dragged_in_the_graph(window: Window, editor: Any
     window.click("#time-add")
     until(lambda: len(editor.document.timeline.keys) == 1, "there is a key")
     window.fill("#time", "4\n")
+    until(lambda: editor.document.time == 4.0, "four seconds")
+    window.rest()
     window.press("A", "G", "X", "0", ".", "4", "Enter")
     until(lambda: np.allclose(editor.posed[0].vertices[:, 0], CAGE.vertices[:, 0] + 0.4), "the cage is moved")
     window.click("#time-add")
