@@ -37,7 +37,6 @@ def composite_pixels(
     view: wp.array(dtype=wp.vec4),
     members: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
-    order: wp.array(dtype=wp.int32),
     tiles: TileGrid,
     background: wp.vec3,
     stop: float,
@@ -47,10 +46,9 @@ def composite_pixels(
 ):
     """One thread per pixel of the tiles, 32 of them 8x4 pixels. Outputs (h * w,); depth: expected distance along the
     ray, world units, inf where almost nothing is seen, or (0,)."""
-    # view: (3 n,) of splats/project. members: splats of tiles, front to back; starts: (tiles + 1,) of each tile;
-    # order: (tiles,) in which tiles are begun.
+    # view: (3 n,) of splats/project. members: splats of tiles, front to back; starts: (tiles + 1,) of each tile.
     n = first + wp.tid()
-    tile = order[n // (TILE_SIDE * TILE_SIDE)]
+    tile = n // (TILE_SIDE * TILE_SIDE)
     block = (n // 32) % (TILE_SIDE * TILE_SIDE // 32)
     lane = n % 32
     across = TILE_SIDE // 8
@@ -102,7 +100,6 @@ def add_slopes(
     view: wp.array(dtype=wp.vec4),
     members: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
-    order: wp.array(dtype=wp.int32),
     tiles: TileGrid,
     stop: float,
     rgb: wp.array(dtype=wp.vec3),
@@ -112,7 +109,7 @@ def add_slopes(
     """One thread per pixel of the tiles, as splats/composite, whose inputs and picture these are. slopes: (h * w,) of
     the loss by the picture. sums: (SUMS n,) are added to."""
     n = first + wp.tid()
-    tile = order[n // (TILE_SIDE * TILE_SIDE)]
+    tile = n // (TILE_SIDE * TILE_SIDE)
     block = (n // 32) % (TILE_SIDE * TILE_SIDE // 32)
     lane = n % 32
     across = TILE_SIDE // 8

@@ -132,17 +132,3 @@ def find_tile_starts(first: int, keys: wp.array(dtype=wp.int32), count: int, sta
         else:
             high = middle
     starts[tile] = low
-
-
-#: Tiles with so many entries or more count alike in their order.
-LARGEST_WEIGHT = wp.constant(0xFFFF)
-
-
-@wp.kernel
-def weigh_tiles(
-    first: int, starts: wp.array(dtype=wp.int32), weights: wp.array(dtype=wp.int32), order: wp.array(dtype=wp.int32)
-):
-    """Numbers of tiles, to be sorted by weights: a GPU idles at the end where those with the most entries come last."""
-    tile = first + wp.tid()
-    weights[tile] = LARGEST_WEIGHT - wp.min(starts[tile + 1] - starts[tile], LARGEST_WEIGHT)
-    order[tile] = tile

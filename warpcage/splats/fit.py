@@ -157,7 +157,7 @@ class SplatGradients(SplatRenderer):
         starts = self._sort(grid, total, keys, members)
         rgb, alpha = self._rgb.take(pixels), self._alpha.take(pixels)
         depth = self._depth.take(pixels if self.device.is_cpu else 0)  # a GPU draws none: it is not asked for
-        inputs = [seen[1], members, *starts, grid]
+        inputs = [seen[1], members, starts, grid]
         self._composite(grid, [*inputs, color, STOP_TRANSMITTANCE], [rgb, alpha, depth])
         self._drawn = grid, seen, inputs, sources, total, rgb
         return rgb, alpha

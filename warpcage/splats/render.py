@@ -51,7 +51,7 @@ class SplatRenderer:
         self._depths, self._order = pool.buffer(wp.float32), pool.buffer(wp.int32)
         self._counts, self._ends = pool.buffer(wp.int64), pool.buffer(wp.int64)
         self._keys, self._members = pool.buffer(wp.int32), pool.buffer(wp.int32)
-        self._starts, self._weights, self._tile_order = (pool.buffer(wp.int32) for _ in range(3))
+        self._starts = pool.buffer(wp.int32)
         self._spare = SpareMemory(self.device)
         self._total = wp.zeros(1, dtype=wp.int64, device="cpu", pinned=self.device.is_cuda)
 
@@ -106,7 +106,7 @@ class SplatRenderer:
         self.entry_count += total
         keys, members = self._write(grid, total, seen)
         starts = self._sort(grid, total, keys, members)
-        self._composite(grid, [seen[1], members, *starts, grid, *inputs], outputs)
+        self._composite(grid, [seen[1], members, starts, grid, *inputs], outputs)
 
     def _write(self, grid: Any, total: int, seen: tuple) -> tuple[wp.array, wp.array]:
         """Tiles and splats of the entries that were counted, in the order of depth."""
@@ -117,18 +117,13 @@ class SplatRenderer:
         launch(tiles.write_entries, count if total else 0, inputs, [keys, members], device=self.device)
         return keys, members
 
-    def _sort(self, grid: Any, total: int, keys: wp.array, members: wp.array) -> list[wp.array]:
-        """Sort entries by tile; returns where those of each tile begin, and on CUDA in which order tiles are drawn."""
+    def _sort(self, grid: Any, total: int, keys: wp.array, members: wp.array) -> wp.array:
+        """Sort entries by tile; returns where those of each tile begin."""
         tile_count = grid.columns * grid.rows
         wp.utils.radix_sort_pairs(keys, members, total, 0, tile_count.bit_length())
         starts = self._starts.take(tile_count + 1)
         launch(tiles.find_tile_starts, tile_count + 1, [keys, total], [starts], device=self.device)
-        if self.device.is_cpu:
-            return [starts]
-        weights, order = self._weights.take(2 * tile_count), self._tile_order.take(2 * tile_count)
-        launch(tiles.weigh_tiles, tile_count, [starts], [weights, order], device=self.device)
-        wp.utils.radix_sort_pairs(weights, order, tile_count, 0, int(tiles.LARGEST_WEIGHT).bit_length())
-        return [starts, order]
+        return starts
 
     def _composite(self, grid: Any, inputs: list, outputs: list) -> None:
         """Draw the tiles of a grid."""

@@ -61,7 +61,8 @@ class GrowingSplats:
     @staticmethod
     def row_bytes(degree: int) -> int:
         """Device memory of a splat: its values and their means, what is made of them, and what draws it."""
-        return 4 * (3 * (11 + 3 * (degree + 1) ** 2) + 7) + 24 + 160
+        bases = (degree + 1) ** 2
+        return 4 * (3 * (11 + 3 * bases) + 7) + 24 + 148 + 4 * bases
 
     def refresh(self) -> None:
         """Make the covariances and opacities of the values as they are now."""
