@@ -77,6 +77,7 @@ DEV = [
     "clang-format>=22",
     "pre-commit>=3.7",
     "build>=1.0",
+    "matplotlib>=3.8",  # figures of benchmarks
     "uv>=0.5",  # installs the lowest versions, for .ci/clean
 ]
 

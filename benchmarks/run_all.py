@@ -43,6 +43,7 @@ QUICK = {
     "splats_truth": "splats-truth --quick --json {out}/splats_truth.json --figures {out}",
     "frames": "frames times {of} --device cpu --size 48 --resolution 24 --runs 1 --json {out}/frames.json",
     "every_kernel": "every_kernel.py --device cpu",
+    "growth": "growth measure --quick --device cpu --runs 1 --only frame-edits --json {out}/growth.json",
     "same_bits": "same-bits {tree} --only pose mesh",
     "coverage": "truth coverage --device cpu --size 40 --test-views 1 --edge 0.4 --json {out}/coverage.json",
     "captures": "captures --video --device cpu --width 192 --degrees 100 --video-frames 16 --frames 10"
