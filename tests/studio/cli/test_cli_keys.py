@@ -1,6 +1,7 @@
 """Films of keys at times from the command line: pose files that `pose` writes, animated glTF files, numbered files."""
 
 import itertools
+import json
 import pathlib
 
 import imageio.v3 as iio
@@ -179,7 +180,6 @@ def test_a_still_of_a_file_that_moves_names_its_pose(files, tmp_path, capsys):
     made = GltfWriter(y_up, rest.faces)
     made.primitive["targets"] = [{"POSITION": made.add(y_up * [0, 0.5, 0])}, {"POSITION": made.add(0.0 * y_up + 0.2)}]
     made.save(tmp_path / "off.gltf", extras={"targetNames": ["tall", "aside"]})
-    argv = ["render", "@ball.npz", "--cage", "@cage.obj", *LOOK, "-o"]
     rest.save(tmp_path / "still.glb")
     for pose, message in (
         ("off.gltf", "holds 2 keyframes: name one, as in"),
@@ -187,8 +187,21 @@ def test_a_still_of_a_file_that_moves_names_its_pose(files, tmp_path, capsys):
         ("off.gltf:wide", "no animation or shape key 'wide', only tall, aside"),
         ("still.glb:wide", "no animation or shape key 'wide', and nothing else that moves"),
     ):
-        assert run(files, *argv, tmp_path / "x.png", "--posed", tmp_path / pose) == 2
-        assert message in capsys.readouterr().err
+        render = ["render", "@ball.npz", "--cage", "@cage.obj", *LOOK, "-o", tmp_path / "x.png"]
+        for argv in (render, ["check", "@cage.obj"]):
+            assert run(files, *argv, "--posed", tmp_path / pose) == 2
+            assert message in capsys.readouterr().err
+    made.primitive["targets"].pop()
+    made.save(tmp_path / "shown.gltf", extras={"targetNames": ["tall"]}, weights=[0.5])
+    made.save(tmp_path / "off.gltf", extras={"targetNames": ["tall"]}, weights=[0.0])
+    rest.with_vertices(rest.vertices * [1, 1, 1.25]).save(tmp_path / "shown.obj")
+    rest.with_vertices(rest.vertices * [1, 1, 1.5]).save(tmp_path / "tall.obj")
+    for pose, same in (("shown.gltf", "shown.obj"), ("off.gltf:tall", "tall.obj"), ("off.gltf", "tall.obj")):
+        found = []
+        for name in (pose, same):
+            succeed(files, "check", "@cage.obj", "--posed", tmp_path / name, "--json")
+            found.append(json.loads(capsys.readouterr().out)["pose"]["volume_ratio"])
+        assert found[0] == pytest.approx(found[1], rel=1e-6), pose
 
 
 def test_cameras_are_keyed_beside_poses(files, tmp_path, capsys):

@@ -204,9 +204,11 @@ def run_check(args: argparse.Namespace) -> int:
 
 def _pose(args: argparse.Namespace, cage: Cage, expected: str) -> Cage:
     """The pose of --posed; expected: the axis that points up in the cage's file."""
-    resolver = asset_resolver()
+    resolver, rest = asset_resolver(), RestCage(cage)
     if is_preset(args.posed) or ending(resolver.split(args.posed)[0]) == ".json":
-        return resolver.pose(RestCage(cage), args.posed)
+        return resolver.pose(rest, args.posed)
+    if resolver.keyframes(rest, args.posed, posed_up(args))[0] is not None:  # a file that moves
+        return resolver.pose(rest, args.posed, posed_up(args))
     likely = expected if ending(args.posed) == ending(args.cage) else None
     pose, standing = load_standing(Cage, args.posed, up=posed_up(args), reference=cage, expected=likely)
     resolver.report_standing(args.posed, standing, "--posed-up")
