@@ -114,7 +114,7 @@ def preview(args) -> None:
         colors = np.asarray(mesh.visual.vertex_colors)[:, :3] / 255.0
         upright = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
         (folder / "mesh.glb").write_bytes(write_glb(upright, np.asarray(mesh.faces, np.int32), colors, name="mesh"))
-        cage.save(folder / "cage.glb")
+        cage.save(folder / "cage.obj")  # which keeps polygons, and the order of vertices
         np.savez(folder / "pose.npz", posed=posed.vertices, view=camera.camera_to_world, fov=38.0, size=args.size)
         done = subprocess.run(
             [args.blender, str(HERE), "blender", "preview", "--blender-part", temporary], capture_output=True, text=True
@@ -174,11 +174,10 @@ def blender_part(folder: pathlib.Path) -> None:
 
     given = np.load(folder / "pose.npz")
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    objects = []
-    for name in ("mesh", "cage"):
-        bpy.ops.import_scene.gltf(filepath=str(folder / f"{name}.glb"))
-        objects.append(bpy.context.selected_objects[0])
-    mesh, cage = objects
+    bpy.ops.import_scene.gltf(filepath=str(folder / "mesh.glb"))
+    mesh = bpy.context.selected_objects[0]
+    bpy.ops.wm.obj_import(filepath=str(folder / "cage.obj"), forward_axis="Y", up_axis="Z")
+    cage = bpy.context.selected_objects[0]
     place = np.linalg.inv(np.array(cage.matrix_world))
     rest = np.array([vertex.co[:] for vertex in cage.data.vertices])
     posed = given["posed"] @ place[:3, :3].T + place[:3, 3]
