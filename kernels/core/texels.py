@@ -17,14 +17,12 @@ FOUR_HALVES = """
     const unsigned a = wp::float_to_half(fminf(fmaxf(value.c[3], -limit), limit)).u;
 """
 
-#: C++ for CUDA that writes `value` to texel (x, y, z) of a surface of four halves.
-WRITE_HALF_TEXEL = (
-    FOUR_HALVES
-    + """
+#: C++ for CUDA that writes those halves to texel (x, y, z) of a surface of four halves; both steps at once.
+WRITE_HALVES = """
     asm volatile("sust.b.3d.v2.b32.zero [%0, {%1, %2, %3, %4}], {%5, %6};"
         :: "l"(surface), "r"(8 * x), "r"(y), "r"(z), "r"(0), "r"(r | (g << 16)), "r"(b | (a << 16)) : "memory");
 """
-)
+WRITE_HALF_TEXEL = FOUR_HALVES + WRITE_HALVES
 
 #: C++ for CUDA that sets r, g, b and a to the trilinear value at (x, y, z) of a texture that is asked by unnormalised
 #: coordinates; texel (i, j, k) is at (i, j, k).

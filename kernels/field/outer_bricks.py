@@ -1,8 +1,9 @@
-"""The values of an outer field as a texture of bricks, so that frames read all around a place at once on a GPU."""
+"""Values of a sparse grid as a texture of bricks, so that frames read all around a place at once on a GPU."""
 
 import warp as wp
 
 from ..core.gradients import forward
+from ..core.lanes import grid_place
 from ..core.texels import BLENDED_TEXEL, WRITE_HALF_TEXEL
 from ..core.variants import by_device
 
@@ -14,7 +15,7 @@ BRICK_CELLS = wp.constant(8)
 BRICK_NODES = wp.constant(9)
 
 #: Bricks along the first two axes of a texture: two to this power.
-ACROSS_BITS = wp.constant(6)
+ACROSS_BITS = wp.constant(5)
 
 
 @wp.struct
@@ -30,6 +31,42 @@ def brick_texel(number: int):
     """The first texel of a brick."""
     last = (1 << ACROSS_BITS) - 1
     return BRICK_NODES * wp.vec3i(number & last, (number >> ACROSS_BITS) & last, number >> (2 * ACROSS_BITS))
+
+
+@wp.struct
+class BrickRange:
+    """The bricks, from one to another along each axis, that keep a node: several where it is at their sides."""
+
+    least: wp.vec3i
+    most: wp.vec3i
+
+
+@wp.func
+def bricks_of_node(i: int, j: int, k: int, bricks: wp.array4d(dtype=wp.int32)):
+    """The bricks of node (i, j, k). bricks: (layers, bricks along each axis) of anything."""
+    place = wp.vec3i(i, j, k)
+    result = BrickRange()
+    for axis in range(3):
+        result.least[axis] = wp.max(place[axis] - 1, 0) // BRICK_CELLS
+        result.most[axis] = wp.min(place[axis] // BRICK_CELLS, bricks.shape[axis + 1] - 1)
+    return result
+
+
+@wp.func
+def mark_bricks_of_node(marks: wp.array4d(dtype=wp.int32), layer: int, i: int, j: int, k: int):
+    """1 in the marks (layers, bricks along each axis) of the bricks that keep a node, in a layer."""
+    bricks = bricks_of_node(i, j, k, marks)
+    for a in range(bricks.least[0], bricks.most[0] + 1):
+        for b in range(bricks.least[1], bricks.most[1] + 1):
+            for c in range(bricks.least[2], bricks.most[2] + 1):
+                marks[layer, a, b, c] = 1
+
+
+@wp.kernel
+def mark_row_bricks(first: int, nodes: wp.array(dtype=wp.int32), ny: int, nz: int, marks: wp.array4d(dtype=wp.int32)):
+    """1 in the first layer of marks for bricks that keep any of nodes (rows,), of field/columns. One item a row."""
+    i, j, k = grid_place(nodes[first + wp.tid()], ny, nz)
+    mark_bricks_of_node(marks, 0, i, j, k)
 
 
 @wp.kernel

@@ -3,12 +3,14 @@
 import warp as wp
 
 from ..core.gradients import forward_only_in
-from ..core.lanes import ballot
+from ..core.lanes import ballot, grid_place
 from ..edits.nodes import node_blend, node_slope, side_slope
 from ..field.colors import ShadedGrid, own_row, row_place, shade_color
+from ..field.columns import Columns
 from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
-from .volume import CARRIED_LAYER, COLOR_LAYERS, PLAIN_LAYER, ShadedVolume, write_shaded_volume
+from ..field.outer_bricks import mark_bricks_of_node
+from .volume import ALL_LAYERS, CARRIED_LAYER, PLAIN_LAYER, ShadedVolume, write_shaded_volume
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -160,6 +162,25 @@ def nearest_view(cages: wp.array(dtype=ViewDirectionCage), x: wp.vec3, plain: wp
     return forward_only(along, x)
 
 
+@wp.kernel
+def mark_shaded_bricks(
+    first: int,
+    grid: VoxelGrid,
+    columns: Columns,
+    nodes: wp.array(dtype=wp.int32),
+    cages: wp.array(dtype=ViewDirectionCage),
+    marks: wp.array4d(dtype=wp.int32),
+):
+    """1 in the marks (layers, bricks along each axis) of those to which `shade_carried_rows` writes. One item a row."""
+    node = nodes[first + wp.tid()]
+    seen = row_view(cages, row_place(grid, columns.node_counts, node), wp.vec3(0.0, 0.0, 0.0))
+    i, j, k = grid_place(node, columns.node_counts[1], columns.node_counts[2])
+    if seen.is_plain == 1 or seen.is_wall == 1:
+        mark_bricks_of_node(marks, PLAIN_LAYER, i, j, k)
+    if seen.is_carried == 1 or seen.is_wall == 1:
+        mark_bricks_of_node(marks, CARRIED_LAYER, i, j, k)
+
+
 #: With more registers too few warps wait for rows.
 MAX_REGISTERS = 64
 
@@ -182,14 +203,14 @@ def shade_carried_rows(
     x = row_place(grid, shaded.columns.node_counts, nodes[n])
     plain = wp.normalize(x - shaded.center)
     seen = row_view(cages, x, plain)
-    own_layer = wp.where(seen.carried == 1, CARRIED_LAYER, PLAIN_LAYER)
+    own_layer = 1 << wp.where(seen.carried == 1, CARRIED_LAYER, PLAIN_LAYER)
+    layers = (seen.is_plain << PLAIN_LAYER) | (seen.is_carried << CARRIED_LAYER)
+    if seen.is_wall == 1:
+        layers &= own_layer
     color = shade_color(grid.sh, row, sh_basis(seen.along))
     if item < nodes.shape[0]:
         shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
-        if seen.is_plain == 1 and (seen.is_wall == 0 or own_layer == PLAIN_LAYER):
-            write_shaded_volume(laid, nodes[n], PLAIN_LAYER, shade)
-        if seen.is_carried == 1 and (seen.is_wall == 0 or own_layer == CARRIED_LAYER):
-            write_shaded_volume(laid, nodes[n], CARRIED_LAYER, shade)
+        write_shaded_volume(laid, nodes[n], layers, shade)
     if ballot(seen.is_wall) != 0:  # a warp reads its rows together
         along = plain
         if seen.is_wall == 1 and seen.carried == 0:
@@ -197,4 +218,4 @@ def shade_carried_rows(
         color = shade_color(grid.sh, row, sh_basis(along))
         if item < nodes.shape[0] and seen.is_wall == 1:
             shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
-            write_shaded_volume(laid, nodes[n], COLOR_LAYERS - 1 - own_layer, shade)
+            write_shaded_volume(laid, nodes[n], ALL_LAYERS - own_layer, shade)

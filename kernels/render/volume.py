@@ -4,7 +4,9 @@ once."""
 import warp as wp
 
 from ..core.gradients import forward
-from ..core.texels import BLENDED_TEXEL, WRITE_HALF_TEXEL
+from ..core.texels import BLENDED_TEXEL, FOUR_HALVES, WRITE_HALVES
+from ..core.variants import native_constants
+from ..field.outer_bricks import ACROSS_BITS, BRICK_CELLS, BRICK_NODES
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -15,58 +17,101 @@ CARRIED_LAYER = wp.constant(1)
 
 COLOR_LAYERS = wp.constant(2)
 
+#: A bit for each.
+ALL_LAYERS = wp.constant(3)
+
+#: C++ of several functions: the sizes of bricks.
+BRICK_SIZES = native_constants(cells=int(BRICK_CELLS), nodes=int(BRICK_NODES), across_bits=int(ACROSS_BITS))
+
 
 @wp.struct
 class ShadedVolume:
-    """Colors at the nodes of a grid, 0 where a node has no row."""
+    """Colors at the nodes of a grid, in bricks as those of field/outer_bricks, 0 where a node has no row."""
 
     node_counts: wp.vec3i
     cells: wp.vec3  # node_counts less 1
-    texture: wp.uint64  # of four halves: axis 2 of the grid, axis 1, and axis 0 of one layer after the other
+    numbers: wp.array4d(dtype=wp.int32)  # (layers, bricks along each axis) of each brick in the texture, -1 for none
+    texture: wp.uint64  # of four halves: axis 2 of the grid, axis 1, axis 0 of a brick
     surface: wp.uint64  # the same, to be written
-    colors: wp.array(dtype=wp.vec4)  # (layers * nodes,) on a CPU
+    colors: wp.array(dtype=wp.vec4)  # (bricks * BRICK_NODES^3,) on a CPU
 
 
 @forward.func_native(
-    """
+    BRICK_SIZES
+    + """
+    const int* counts = laid.numbers.shape.dims;
     const int ny = laid.node_counts.c[1], nz = laid.node_counts.c[2];
+    const int i = node / (ny * nz), j = (node / nz) % ny, k = node % nz;
+    const int last_i = wp::min(i / cells, counts[1] - 1), last_j = wp::min(j / cells, counts[2] - 1);
+    const int last_k = wp::min(k / cells, counts[3] - 1);
 #if defined(__CUDA_ARCH__)
     const auto surface = laid.surface;
-    const int x = node % nz, y = (node / nz) % ny, z = layer * laid.node_counts.c[0] + node / (ny * nz);
+    const int last = (1 << across_bits) - 1;
 """
-    + WRITE_HALF_TEXEL
+    + FOUR_HALVES
     + """#else
     const float limit = 65504.0f;
-    float* shade = laid.colors.data[(size_t)layer * laid.node_counts.c[0] * ny * nz + node].c;
-    for (int i = 0; i < 4; ++i)  // also of what is no number
-        shade[i] = value.c[i] > limit ? limit : (value.c[i] >= -limit ? value.c[i] : -limit);
 #endif
+    for (int layer = 0; layer < counts[0]; ++layer)
+        if ((layers >> layer) & 1)
+            for (int u = (i - (i > 0)) / cells; u <= last_i; ++u)
+                for (int v = (j - (j > 0)) / cells; v <= last_j; ++v)
+                    for (int w = (k - (k > 0)) / cells; w <= last_k; ++w)
+                    {
+                        const int number
+                            = laid.numbers.data[((layer * counts[1] + u) * counts[2] + v) * counts[3] + w];
+                        if (number < 0)
+                            continue;
+#if defined(__CUDA_ARCH__)
+                        const int x = nodes * (number & last) + k - cells * w;
+                        const int y = nodes * ((number >> across_bits) & last) + j - cells * v;
+                        const int z = nodes * (number >> (2 * across_bits)) + i - cells * u;
+"""
+    + WRITE_HALVES
+    + """#else
+                        const size_t line = ((size_t)number * nodes + i - cells * u) * nodes + j - cells * v;
+                        float* shade = laid.colors.data[line * nodes + k - cells * w].c;
+                        for (int n = 0; n < 4; ++n)  // also of what is no number
+                            shade[n] = value.c[n] > limit ? limit : (value.c[n] >= -limit ? value.c[n] : -limit);
+#endif
+                    }
 """
 )
-def write_shaded_volume(laid: ShadedVolume, node: wp.int32, layer: wp.int32, value: wp.vec4):
-    """Keep red, green, blue less 0.5 and optical depth of a node in a layer."""
+def write_shaded_volume(laid: ShadedVolume, node: wp.int32, layers: wp.int32, value: wp.vec4):
+    """Keep red, green, blue less 0.5 and optical depth of a node in its bricks of some layers. layers: their bits."""
     ...
 
 
 @forward.func_native(
-    """
+    BRICK_SIZES
+    + """
+    const unsigned i = (unsigned)at.c[0], j = (unsigned)at.c[1], k = (unsigned)at.c[2];
+    const int* counts = laid.numbers.shape.dims;
+    const int* entry = laid.numbers.data
+        + ((layer * counts[1] + (int)(i / cells)) * counts[2] + (int)(j / cells)) * counts[3] + (int)(k / cells);
 #if defined(__CUDA_ARCH__)
+    const int number = __ldg(entry);
+    if (number < 0)
+        return wp::vec_t<4, wp::float32>(0.0f, 0.0f, 0.0f, 0.0f);
+    const int last = (1 << across_bits) - 1;
     const auto texture = laid.texture;
-    const float x = at.c[2], y = at.c[1], z = at.c[0] + (float)(layer * laid.node_counts.c[0]);
+    const float x = at.c[2] + (float)(nodes * (number & last) - (int)(k - k % cells));
+    const float y = at.c[1] + (float)(nodes * ((number >> across_bits) & last) - (int)(j - j % cells));
+    const float z = at.c[0] + (float)(nodes * (number >> (2 * across_bits)) - (int)(i - i % cells));
 """
     + BLENDED_TEXEL
     + """
     return wp::vec_t<4, wp::float32>(r, g, b, a);
 #else
+    if (*entry < 0)
+        return wp::vec_t<4, wp::float32>(0.0f, 0.0f, 0.0f, 0.0f);
     typedef float four __attribute__((ext_vector_type(4), aligned(4)));
-    const int ny = laid.node_counts.c[1], nz = laid.node_counts.c[2];
-    const int i = (int)at.c[0], j = (int)at.c[1], k = (int)at.c[2];
     const float x = at.c[0] - (float)i, y = at.c[1] - (float)j, z = at.c[2] - (float)k;
     const four* low = reinterpret_cast<const four*>(laid.colors.data)
-        + ((size_t)(layer * laid.node_counts.c[0] + i) * ny + j) * nz + k;
-    const four* high = low + (size_t)ny * nz;
-    const four a = low[0] + z * (low[1] - low[0]), b = low[nz] + z * (low[nz + 1] - low[nz]);
-    const four c = high[0] + z * (high[1] - high[0]), d = high[nz] + z * (high[nz + 1] - high[nz]);
+        + (((size_t)*entry * nodes + i % cells) * nodes + j % cells) * nodes + k % cells;
+    const four* high = low + nodes * nodes;
+    const four a = low[0] + z * (low[1] - low[0]), b = low[nodes] + z * (low[nodes + 1] - low[nodes]);
+    const four c = high[0] + z * (high[1] - high[0]), d = high[nodes] + z * (high[nodes + 1] - high[nodes]);
     const four u = a + y * (b - a), v = c + y * (d - c), s = u + x * (v - u);
     return wp::vec_t<4, wp::float32>(s.x, s.y, s.z, s.w);
 #endif

@@ -19,8 +19,9 @@ from ..core.threads import device_turn, in_turn
 from ..errors import InputError
 from ..kernels.field.background import BackgroundLayers, add_background, sample_background
 from ..kernels.field.outer import OuterGrid, compose_outer, dim_pixels, sample_outer
-from ..kernels.field.outer_bricks import ACROSS_BITS, BRICK_CELLS, BRICK_NODES, OuterBricks, fill_bricks, mark_bricks
+from ..kernels.field.outer_bricks import BRICK_CELLS, BRICK_NODES, OuterBricks, fill_bricks, mark_bricks
 from ..view.camera import Camera, camera_struct, tile_threads
+from .bricks import texture_shape
 from .io.field_file import LayerContents, OuterContents, surface_node_count
 from .sparse import measure_skip, values_on_device
 
@@ -282,9 +283,7 @@ def _texture_of_bricks(grid: Any) -> list[wp.Texture3D]:
     bricks.numbers = wp.array(numbers, dtype=wp.int32, device=device)
     if not len(places):
         return []
-    across = 1 << int(ACROSS_BITS)
-    sides = -(-len(places) // across**2), min(-(-len(places) // across), across), min(len(places), across)
-    texture = half_texture((nodes * sides[0], nodes * sides[1], nodes * sides[2]), device)
+    texture = half_texture(texture_shape(len(places)), device)
     listed = wp.array(places.astype(np.int32), dtype=wp.vec3i, device=device)
     inputs = [listed, grid.links, grid.values, wp.uint64(texture.cuda_surface)]
     launch(fill_bricks, nodes**3 * len(places), inputs, device=device)

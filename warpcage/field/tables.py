@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -10,10 +11,9 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.devices import RecordedLaunch, SpareMemory, half_texture, launch
+from ..core.devices import RecordedLaunch, SpareMemory, launch
 from ..core.modules import Kernel
 from ..core.threads import owner_lock
-from ..kernels.core.texels import clear_half_texels
 from ..kernels.field import columns, occupancy
 from ..kernels.field.colors import ShadedGrid, shade_rows
 from ..kernels.field.densities import lay_densities
@@ -24,6 +24,7 @@ from ..kernels.field.rows import RowTable, pack_rows
 from ..kernels.view.rays import TILE_SIZE
 from ..view.camera import camera_struct
 from ..view.frame import PART_NAMES, Frame
+from .bricks import ColorBricks
 from .io.field_file import MAX_VOXELS
 from .render import STOP_TRANSMITTANCE, FieldView
 from .sparse import MatterSkip, running_counts
@@ -97,6 +98,7 @@ class ColumnTable:
         self._device = wp.get_device(device)
         self._kept: dict[str, tuple[int, Any]] = {}
         self._shaded: Any = None
+        self._texture_bricks = 0
         self.shade_rows = RecordedLaunch(shade_rows, device)  # launches the kernel of that name
 
     def laid_densities(self) -> wp.array:
@@ -125,18 +127,19 @@ class ColumnTable:
         shaded.center, shaded.step = center, step
         return shaded
 
-    def color_texture(self, layers: int) -> wp.Texture3D:
-        """A texture of four halves, (layers * nx, ny, nz), on CUDA for colours at the nodes of rows; 0 at others.
-        Kept as `row_colors` is."""
-        return self._of_stream(f"{layers} layers", lambda: self._new_texture(layers))
+    @functools.cached_property
+    def color_bricks(self) -> ColorBricks:
+        """The bricks of the grid that hold colours of posed frames."""
+        return ColorBricks(tuple(self.columns.node_counts), self.nodes)
 
-    def _new_texture(self, layers: int) -> wp.Texture3D:
-        nx, ny, nz = tuple(self.columns.node_counts)
-        texture = half_texture((layers * nx, ny, nz), self._device)
-        for layer in range(layers):  # one by one, as all together may be more than an index counts
-            inputs = [wp.uint64(texture.cuda_surface), nz, ny, layer * nx]
-            launch(clear_half_texels, self.node_count, inputs, device=self._device)
-        return texture
+    def color_texture(self) -> wp.Texture3D:
+        """A texture of four halves a node of `color_bricks`, on CUDA for colours at the nodes of rows; 0 at others.
+        Kept as `row_colors` is."""
+        bricks = self.color_bricks
+        if bricks.count != self._texture_bricks:
+            self._kept.pop("bricks", None)
+            self._texture_bricks = bricks.count
+        return self._of_stream("bricks", bricks.new_texture)
 
     def _of_stream(self, name: str, make: Callable[[], Any]) -> Any:
         """What the frames of the stream that asked first keep; made anew for others."""

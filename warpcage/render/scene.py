@@ -19,7 +19,7 @@ from ..kernels.edits import trace
 from ..view.frame import Frame
 from .launch import FrameLauncher, FrameTables, frame_target
 from .plan import FrameFacts, FramePlan, plan_frame
-from .shading import CarriedColors, color_texture_bytes
+from .shading import CarriedColors
 from .tables import EditTables
 from .view import PosedEdits, SeenView
 
@@ -130,7 +130,7 @@ class PosedScene(PosedEdits):
             is_far=is_far,
             colors_fit=is_far
             and tables.most_nodes < MAX_LATTICE_NODES
-            and color_texture_bytes(marching.columns) <= self.max_color_bytes,
+            and marching.columns.color_bricks.most_bytes <= self.max_color_bytes,
             is_folded=colors.is_known_folded if colors.is_posed else None,
         )
 

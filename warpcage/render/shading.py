@@ -9,24 +9,21 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.devices import HALF_TEXEL_BYTES, MAX_TEXELS, HostFlag, RecordedLaunches
+from ..core.devices import HostFlag, RecordedLaunches, launch
 from ..field.tables import ColumnTable, whole_warps
 from ..kernels.edits.inverse import NO_CELL, gather_inverse, scatter_cells
-from ..kernels.render.shading import ViewDirectionCage, find_view_directions, keep_cage, shade_carried_rows
-from ..kernels.render.volume import COLOR_LAYERS, ShadedVolume
+from ..kernels.render.shading import (
+    ViewDirectionCage,
+    find_view_directions,
+    keep_cage,
+    mark_shaded_bricks,
+    shade_carried_rows,
+)
+from ..kernels.render.volume import ShadedVolume
 from ..lattice.buffers import BufferPool
 
 #: A trilinear distance changes by at most the root of three per unit of length; rounded up.
 STEEPEST = 1.8
-
-LAYERS = int(COLOR_LAYERS)  #: of ShadedVolume
-
-
-def color_texture_bytes(table: ColumnTable) -> float:
-    """Bytes on a GPU that colours of a field take, by the table of its links; infinite where no texture holds them."""
-    nx, ny, nz = tuple(table.columns.node_counts)
-    fits = max(LAYERS * nx, ny, nz) <= MAX_TEXELS
-    return LAYERS * HALF_TEXEL_BYTES * table.node_count if fits else math.inf
 
 
 class CarriedColors:
@@ -47,6 +44,7 @@ class CarriedColors:
         self._is_folded: bool | None = None
         self._launch = RecordedLaunches(device)
         self._laid: Any = None
+        self._marked: tuple[ColumnTable, list[tuple[Any, ...]]] | None = None  # what bricks were found for
         self._texture: wp.Texture3D | None = None  # kept alive for kernels, which hold its handle alone
         self.is_posed = False  # whether `pose` was called for the current pose; unset when that changes
 
@@ -123,10 +121,23 @@ class CarriedColors:
         if self._aimed is not center:
             self.aim(center)
         self._aimed = None
+        self._find_bricks(grid, table)
         shaded, laid = table.shaded(center, step), self.shaded_volume(table)
         inputs = [grid, table.nodes, self._cages, shaded, laid]
         self._launch(shade_carried_rows, whole_warps(rows, self._device), inputs)
         return laid
+
+    def _find_bricks(self, grid: Any, table: ColumnTable) -> None:
+        """Let the bricks that frames write to be among those of a field's table: they depend on the rest cages."""
+        cages = [(cage.distance, cage.depth, cage.height, cage.wall_depth, cage.wall_height) for *_, cage in self.posed]
+        if self._marked is not None and self._marked[0] is table and self._marked[1] == cages:
+            return
+        self._marked = None  # an interrupt leaves none
+        marks = table.color_bricks.new_marks()
+        inputs = [grid, table.columns, table.nodes, self._cages]
+        launch(mark_shaded_bricks, table.nodes.size, inputs, [marks], device=self._device)
+        table.color_bricks.add(marks)
+        self._marked = table, cages
 
     def shaded_volume(self, table: ColumnTable) -> Any:
         """The ShadedVolume of a field, 0 at nodes without a row: on CUDA the same for all frames, which take turns."""
@@ -135,10 +146,12 @@ class CarriedColors:
             laid = ShadedVolume()
             laid.node_counts = table.columns.node_counts
             laid.cells = wp.vec3(*(float(n - 1) for n in laid.node_counts))
+        if laid.numbers is not table.color_bricks.numbers:
+            laid.numbers = table.color_bricks.numbers
         if self._device.is_cpu:
-            laid.colors = wp.zeros(LAYERS * table.node_count, dtype=wp.vec4, device=self._device)
+            laid.colors = table.color_bricks.new_colors()
         else:
-            self._laid, self._texture = laid, table.color_texture(LAYERS)
+            self._laid, self._texture = laid, table.color_texture()
             laid.texture, laid.surface = self._texture.cuda_texture, self._texture.cuda_surface
         return laid
 

@@ -26,7 +26,7 @@ from fields import (
 from warpcage import Cage, CageEdit, Deformer
 from warpcage.core import launch, recorded_launches
 from warpcage.field import tables
-from warpcage.kernels.render.volume import COLOR_LAYERS, ShadedVolume, shaded_value, write_shaded_volume
+from warpcage.kernels.render.volume import ALL_LAYERS, COLOR_LAYERS, ShadedVolume, shaded_value, write_shaded_volume
 
 TURN = BOX.rotate(35, axis="z").translate([0.2, -0.1, 0.15])
 BEND = BOX.bend(60, axis="x", towards="z")
@@ -355,8 +355,7 @@ def spoil_colors(deformer, patch):
 @wp.kernel(module="unique")
 def whiten(first: int, nodes: wp.array(dtype=wp.int32), laid: ShadedVolume):
     node = nodes[first + wp.tid()]
-    for layer in range(COLOR_LAYERS):
-        write_shaded_volume(laid, node, layer, wp.vec4(0.5, 0.5, 0.5, 100.0))
+    write_shaded_volume(laid, node, ALL_LAYERS, wp.vec4(0.5, 0.5, 0.5, 100.0))
 
 
 def test_numbers_of_a_field_may_change_between_frames(device):
