@@ -18,7 +18,7 @@ from ..field.render import STOP_TRANSMITTANCE, FieldView
 from ..kernels.core import texels
 from ..kernels.edits import cell_tables, fine_cells, inverse, structs
 from ..kernels.edits import nodes as map_cells
-from ..kernels.field import columns, densities, rows
+from ..kernels.field import columns, densities, outer_bricks, rows
 from ..kernels.field import occupancy as grid_skip
 from ..kernels.lattice import crossings, distance, gaps, nodes, rings, side_values
 from ..kernels.render import march_cpu, shading
@@ -57,7 +57,7 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_fragments: bool =
         return [*march_modules, *by_rows]
     shaded = [kernel_of(True, has_sides) for has_sides in (False, True)]
     # poses that turn matter over are marched by rows: loaded now, so that no drag waits for a compiler
-    frame_modules = [columns, densities, rows, texels, tile_order]
+    frame_modules = [columns, densities, outer_bricks, rows, texels, tile_order]
     return [*march_modules, inverse, shading, *shaded, *by_rows, *frame_modules]
 
 

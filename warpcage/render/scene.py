@@ -94,6 +94,7 @@ class PosedScene(PosedEdits):
         self._look_ahead(seen)
         if self.plan.is_shaded:
             self.carried_colors.aim(center)
+            self.carried_colors.find_bricks(seen.grid, field.marching.columns)
         self.seen = seen  # by which the first pose goes
 
     def _look_ahead(self, seen: SeenView) -> None:

@@ -114,21 +114,8 @@ class CarriedColors:
             self._launch(find_view_directions, sum(places.size for _, places, _ in self.posed), [self._cages, center])
         self._aimed = center
 
-    def shaded(self, grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> Any:
-        """The ShadedVolume of a field, of the values that its VoxelGrid has now, as a camera sees them in the pose.
-        table: of the grid's links; centre: relative to the grid's origin; step: of the march, world units."""
-        rows = table.nodes.shape[0]
-        if self._aimed is not center:
-            self.aim(center)
-        self._aimed = None
-        self._find_bricks(grid, table)
-        shaded, laid = table.shaded(center, step), self.shaded_volume(table)
-        inputs = [grid, table.nodes, self._cages, shaded, laid]
-        self._launch(shade_carried_rows, whole_warps(rows, self._device), inputs)
-        return laid
-
-    def _find_bricks(self, grid: Any, table: ColumnTable) -> None:
-        """Let the bricks that frames write to be among those of a field's table: they depend on the rest cages."""
+    def find_bricks(self, grid: Any, table: ColumnTable) -> None:
+        """Let the bricks that frames write to be among those of a field's table. After `aim`; rest cages decide."""
         cages = [(cage.distance, cage.depth, cage.height, cage.wall_depth, cage.wall_height) for *_, cage in self.posed]
         if self._marked is not None and self._marked[0] is table and self._marked[1] == cages:
             return
@@ -138,6 +125,19 @@ class CarriedColors:
         launch(mark_shaded_bricks, table.nodes.size, inputs, [marks], device=self._device)
         table.color_bricks.add(marks)
         self._marked = table, cages
+
+    def shaded(self, grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> Any:
+        """The ShadedVolume of a field, of the values that its VoxelGrid has now, as a camera sees them in the pose.
+        table: of the grid's links; centre: relative to the grid's origin; step: of the march, world units."""
+        rows = table.nodes.shape[0]
+        if self._aimed is not center:
+            self.aim(center)
+        self._aimed = None
+        self.find_bricks(grid, table)
+        shaded, laid = table.shaded(center, step), self.shaded_volume(table)
+        inputs = [grid, table.nodes, self._cages, shaded, laid]
+        self._launch(shade_carried_rows, whole_warps(rows, self._device), inputs)
+        return laid
 
     def shaded_volume(self, table: ColumnTable) -> Any:
         """The ShadedVolume of a field, 0 at nodes without a row: on CUDA the same for all frames, which take turns."""
