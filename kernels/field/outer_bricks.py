@@ -33,33 +33,19 @@ def brick_texel(number: int):
     return BRICK_NODES * wp.vec3i(number & last, (number >> ACROSS_BITS) & last, number >> (2 * ACROSS_BITS))
 
 
-@wp.struct
-class BrickRange:
-    """The bricks, from one to another along each axis, that keep a node: several where it is at their sides."""
-
-    least: wp.vec3i
-    most: wp.vec3i
-
-
-@wp.func
-def bricks_of_node(i: int, j: int, k: int, bricks: wp.array4d(dtype=wp.int32)):
-    """The bricks of node (i, j, k). bricks: (layers, bricks along each axis) of anything."""
-    place = wp.vec3i(i, j, k)
-    result = BrickRange()
-    for axis in range(3):
-        result.least[axis] = wp.max(place[axis] - 1, 0) // BRICK_CELLS
-        result.most[axis] = wp.min(place[axis] // BRICK_CELLS, bricks.shape[axis + 1] - 1)
-    return result
-
-
 @wp.func
 def mark_bricks_of_node(marks: wp.array4d(dtype=wp.int32), layer: int, i: int, j: int, k: int):
-    """1 in the marks (layers, bricks along each axis) of the bricks that keep a node, in a layer."""
-    bricks = bricks_of_node(i, j, k, marks)
-    for a in range(bricks.least[0], bricks.most[0] + 1):
-        for b in range(bricks.least[1], bricks.most[1] + 1):
-            for c in range(bricks.least[2], bricks.most[2] + 1):
-                marks[layer, a, b, c] = 1
+    """1 in the marks (layers, bricks along each axis) of the bricks of the cells around a node, in a layer."""
+    for corner in range(8):
+        a = i - (corner >> 2)
+        b = j - ((corner >> 1) & 1)
+        c = k - (corner & 1)
+        within = a >= 0 and b >= 0 and c >= 0
+        a = a // BRICK_CELLS
+        b = b // BRICK_CELLS
+        c = c // BRICK_CELLS
+        if within and a < marks.shape[1] and b < marks.shape[2] and c < marks.shape[3]:
+            marks[layer, a, b, c] = 1
 
 
 @wp.kernel
