@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..core.lanes import grid_place
-from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance, grid_position
+from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance, grid_position, stored_number
 from ..field.harmonics import LUMINANCE_NUMBERS, sh_basis, vec16
 from .structs import CLEARED, MAPPED, LatticeEdit
 from .trace import CanonicalPoint, canonical_point, canonical_step
@@ -199,7 +199,7 @@ def bake_nodes(
     for number in range(sh.shape[1]):
         for c in range(8):
             if cell.rows[c] >= 0:
-                numbers[number] += cell.weights[c] * grid.sh[cell.rows[c], number]
+                numbers[number] += cell.weights[c] * stored_number(grid, cell.rows[c], number)
     luminous = sh.shape[1] == LUMINANCE_NUMBERS
     begin = int(0)
     for part in range(3):  # luminance, orange, green; or red, green, blue

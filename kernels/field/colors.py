@@ -29,8 +29,10 @@ class ShadedGrid:
 
 
 @forward.func_native(native_source(__file__, "cpp/shade_color.h"))
-def shade_color(sh: wp.array2d(dtype=wp.float32), row: wp.int32, basis: vec16) -> wp.vec3:
-    """Harmonics of a row times a basis. All lanes, in blocks of at most 128 threads."""
+def shade_color(
+    sh: wp.array2d(dtype=wp.float32), halves: wp.array2d(dtype=wp.float16), row: wp.int32, basis: vec16
+) -> wp.vec3:
+    """Harmonics of a row times a basis; `sh` and `halves` of VoxelGrid. All lanes, in blocks of at most 128 threads."""
     ...
 
 
@@ -77,7 +79,7 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
     n = wp.min(item, nodes.shape[0] - 1)
     row = own_row(shaded, n)
     place = row_place(grid, shaded.columns.node_counts, nodes[n])
-    color = shade_color(grid.sh, row, sh_basis(wp.normalize(place - shaded.center)))
+    color = shade_color(grid.sh, grid.halves, row, sh_basis(wp.normalize(place - shaded.center)))
     if item < nodes.shape[0]:
         write_color(shaded.colors, n, wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step))
 

@@ -23,25 +23,37 @@ SAMPLE_PLACE = wp.constant(0.5)
 #: How far the parts of a sample that is cut are from it at most, in steps.
 PART_REACH = wp.constant(max(SAMPLE_PLACE, 1.0 - SAMPLE_PLACE))
 
-#: C++ of several functions: numbers of eight rows, each in its weight, added up. Both widths are known while compiling.
-BLENDED_ROW = """
-    const int width = sh.shape[1];
+
+def blended_row(numbers: str, number: str) -> str:
+    """C++ that makes c of the numbers of eight rows, each in its weight, added up. numbers: the array; number: the n-th
+    of a `row` of it. Both widths are known while compiling."""
+    return f"""
+    const int width = {numbers}.shape[1];
     float c[27];
     for (int n = 0; n < 27; ++n)
         c[n] = 0.0f;
     for (int corner = 0; corner < 8; ++corner)
         if (rows.c[corner] >= 0)
-        {
+        {{
             const float weight = weights.c[corner];
-            const float* row = sh.data + (size_t)rows.c[corner] * width;
+            const auto* row = {numbers}.data + (size_t)rows.c[corner] * width;
             if (width == 24)
                 for (int n = 0; n < 24; ++n)
-                    c[n] += weight * row[n];
+                    c[n] += weight * {number};
             else
                 for (int n = 0; n < 27; ++n)
-                    c[n] += weight * row[n];
-        }
+                    c[n] += weight * {number};
+        }}
 """
+
+
+#: C++ that goes on to the colour.
+SHIFTED_COLOR = (
+    COLOR_OF_ROW
+    + """
+    return wp::vec_t<3, wp::float32>(red + 0.5f, green + 0.5f, blue + 0.5f);
+"""
+)
 
 
 @wp.struct
@@ -53,6 +65,7 @@ class VoxelGrid:
     skip: wp.array3d(dtype=wp.uint8)  # cell -> Chebyshev distance in cells to the nearest that holds anything, 0 there
     density: wp.array(dtype=wp.float32)  # (rows,) per world unit
     sh: wp.array2d(dtype=wp.float32)  # (rows, 24 or 27) numbers of field/harmonics, without gaps
+    halves: wp.array2d(dtype=wp.float16)  # or the same as halves, on CUDA, where `sh` has no rows
 
 
 @wp.struct
@@ -117,13 +130,7 @@ def cell_density(grid: VoxelGrid, cell: CellSample):
     return sigma
 
 
-@forward.func_native(
-    BLENDED_ROW
-    + COLOR_OF_ROW
-    + """
-    return wp::vec_t<3, wp::float32>(red + 0.5f, green + 0.5f, blue + 0.5f);
-"""
-)
+@forward.func_native(blended_row("sh", "row[n]") + SHIFTED_COLOR)
 def blended_color(sh: wp.array2d(dtype=wp.float32), rows: eight_rows, weights: eight_weights, basis: vec16) -> wp.vec3:
     """basis . (sum of weight times row) + 0.5."""
     ...
@@ -131,8 +138,32 @@ def blended_color(sh: wp.array2d(dtype=wp.float32), rows: eight_rows, weights: e
 
 @wp.func
 def cell_color(grid: VoxelGrid, cell: CellSample, basis: vec16):
-    """SH colour before the clamp at zero."""
+    """SH colour before the clamp at zero, of a grid whose numbers are single."""
     return blended_color(grid.sh, cell.rows, cell.weights, basis)
+
+
+@forward.func_native(blended_row("halves", "wp::half_to_float(row[n])") + SHIFTED_COLOR)
+def blended_halves(
+    halves: wp.array2d(dtype=wp.float16), rows: eight_rows, weights: eight_weights, basis: vec16
+) -> wp.vec3:
+    """`blended_color` of rows of halves."""
+    ...
+
+
+@wp.func
+def stored_color(grid: VoxelGrid, cell: CellSample, basis: vec16):
+    """SH colour before the clamp at zero."""
+    if grid.halves.shape[0] > 0:
+        return blended_halves(grid.halves, cell.rows, cell.weights, basis)
+    return cell_color(grid, cell, basis)
+
+
+@wp.func
+def stored_number(grid: VoxelGrid, row: int, number: int):
+    """One number of a row's harmonics."""
+    if grid.halves.shape[0] > 0:
+        return float(grid.halves[row, number])
+    return grid.sh[row, number]
 
 
 @wp.func
@@ -159,7 +190,7 @@ def sample_field(
     n = first + wp.tid()
     cell = cell_sample(grid, grid_position(grid, points[n] - origin))
     basis = sh_basis(wp.normalize(directions[n]))
-    rgb[n] = wp.max(cell_color(grid, cell, basis), wp.vec3(0.0, 0.0, 0.0))
+    rgb[n] = wp.max(stored_color(grid, cell, basis), wp.vec3(0.0, 0.0, 0.0))
     density[n] = wp.max(cell_density(grid, cell), 0.0)
 
 

@@ -63,9 +63,13 @@ def row_color(
 
 @forward.func_native(native_source(__file__, "cpp/write_packed.h"))
 def write_packed(
-    sh: wp.array2d(dtype=wp.float32), row: wp.int32, packed: wp.array2d(dtype=wp.uint32), target: wp.int32
+    sh: wp.array2d(dtype=wp.float32),
+    halves: wp.array2d(dtype=wp.float16),
+    row: wp.int32,
+    packed: wp.array2d(dtype=wp.uint32),
+    target: wp.int32,
 ):
-    """Pack a row; -1 is no target. All lanes, in blocks of at most 128 threads."""
+    """Pack a row; -1 is no target; `sh` and `halves` of VoxelGrid. All lanes, in blocks of at most 128 threads."""
     ...
 
 
@@ -77,4 +81,4 @@ def pack_rows(first: int, grid: VoxelGrid, columns: Columns, packed: wp.array2d(
     target = wp.where(item < packed.shape[0], item, -1)
     if columns.order.shape[0] > 0:
         row = columns.order[row]
-    write_packed(grid.sh, row, packed, target)
+    write_packed(grid.sh, grid.halves, row, packed, target)

@@ -10,7 +10,6 @@ from ..edits.trace import CanonicalPoint, canonical_direction, canonical_point, 
 from ..field.grid import (
     SAMPLE_PLACE,
     VoxelGrid,
-    cell_color,
     cell_density,
     cell_sample,
     empty_distance,
@@ -19,6 +18,7 @@ from ..field.grid import (
     grid_span,
     sample_index_after,
     steps_to_sample,
+    stored_color,
 )
 from ..field.harmonics import sh_basis
 from ..view.rays import box_span, joined_span
@@ -168,7 +168,7 @@ def march_deformed(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.v
                         seen.cleared_transmittance *= kept
                     else:
                         weight = seen.transmittance * (1.0 - kept)
-                        color = wp.max(cell_color(grid, cell, sh_basis(along)), wp.vec3(0.0, 0.0, 0.0))
+                        color = wp.max(stored_color(grid, cell, sh_basis(along)), wp.vec3(0.0, 0.0, 0.0))
                         seen.color += weight * color
                         seen.depth += weight * t_sub
                         seen.transmittance *= kept

@@ -207,7 +207,7 @@ def shade_carried_rows(
     layers = (seen.is_plain << PLAIN_LAYER) | (seen.is_carried << CARRIED_LAYER)
     if seen.is_wall == 1:
         layers &= own_layer
-    color = shade_color(grid.sh, row, sh_basis(seen.along))
+    color = shade_color(grid.sh, grid.halves, row, sh_basis(seen.along))
     if item < nodes.shape[0]:
         shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
         write_shaded_volume(laid, nodes[n], layers, shade)
@@ -215,7 +215,7 @@ def shade_carried_rows(
         along = plain
         if seen.is_wall == 1 and seen.carried == 0:
             along = nearest_view(cages, x, plain)
-        color = shade_color(grid.sh, row, sh_basis(along))
+        color = shade_color(grid.sh, grid.halves, row, sh_basis(along))
         if item < nodes.shape[0] and seen.is_wall == 1:
             shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
             write_shaded_volume(laid, nodes[n], ALL_LAYERS - own_layer, shade)

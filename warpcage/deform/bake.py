@@ -116,7 +116,7 @@ def _baked(
     spacing = wp.vec3(side, side, side)
     lower = searched[0] + 0.5 * side  # of the first voxel's centre
     mask = empty_array(tuple(int(n) for n in shape), wp.uint8, device)
-    inputs = [edits.array, field.grid, wp.vec3(*(lower - field.center)), spacing]
+    inputs = [edits.array, field.stored, wp.vec3(*(lower - field.center)), spacing]
     launch(mark_filled_nodes, mask.size, inputs, [mask], device=device)
     filled = mask.numpy()
     begin, end = filled_range(filled)
@@ -127,10 +127,10 @@ def _baked(
     links, nodes = link_mask(mask)
     require_memory(VOXEL_BYTES * nodes.size, device, f"{nodes.size} voxels need {{size}}: give a lower resolution")
     density = empty_array(nodes.size, wp.float32, device)
-    sh = empty_array((nodes.size, field.grid.sh.shape[1]), wp.float32, device)
+    sh = empty_array((nodes.size, field.stored.sh.shape[1]), wp.float32, device)
     inputs = [
         edits.array,
-        field.grid,
+        field.stored,
         wp.vec3(*(lower - field.center)),
         spacing,
         nodes,

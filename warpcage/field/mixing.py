@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..core.memory import require_memory
 from ..core.threads import device_turn
-from .sparse import harmonics_on_host
+from .sparse import harmonics_on_host, stored_harmonics
 from .voxel_field import VoxelField
 
 #: Bytes of a place of the grid while it is filled, and of a voxel that is kept.
@@ -25,12 +25,15 @@ class _Part:
     """A field, and the part of the grid that it stands in."""
 
     def __init__(self, field: VoxelField, corner: np.ndarray, side: float):
-        links = field.grid.links.numpy()
+        links = field.stored.links.numpy()
         begin = np.rint((field.bounds[0] - corner) / side).astype(int)
         self._window = tuple(slice(first, first + count) for first, count in zip(begin, links.shape, strict=True))
         self.filled = links >= 0
         rows = links[self.filled]
-        self.density, self.sh = field.grid.density.numpy()[rows], harmonics_on_host(field.grid.sh)[rows]
+        self.density, self.sh = (
+            field.stored.density.numpy()[rows],
+            harmonics_on_host(stored_harmonics(field.stored))[rows],
+        )
 
     def window(self, values: np.ndarray) -> np.ndarray:
         """Its part of an array of the grid, a view."""

@@ -208,11 +208,14 @@ def values_on_device(array: np.ndarray | wp.array, dtype: Any, device: wp.Device
 
 
 def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
-    """Harmonics as kernels take them, (rows, 27) or (rows, 24) float32; NumPy ones are (rows, 9, 3) or (rows, 24)."""
+    """Harmonics as kernels take them, (rows, 27) or (rows, 24) float32, or float16 on CUDA where they are halves.
+    NumPy ones are (rows, 9, 3) or (rows, 24)."""
+    if isinstance(sh, wp.array) and sh.dtype == wp.float16 and device.is_cpu:
+        return wp.array(as_single(sh.numpy()), dtype=wp.float32, device=device)
     if isinstance(sh, wp.array):
         array = values_on_device(sh, wp.float32, device)  # without gaps: rows are read as runs of memory
         if array.ndim != 2 or array.shape[1] not in (LUMINANCE_NUMBERS, RGB_NUMBERS):
-            raise InputError(f"sh on a device must be (rows, 24) or (rows, 27) float32, got {array.shape}")
+            raise InputError(f"sh on a device must be (rows, 24) or (rows, 27) numbers, got {array.shape}")
         return array if array.is_contiguous else array.contiguous()
     host = np.asarray(sh)
     if host.ndim == 3 and host.shape[1:] == (BASIS_COUNT, 3):
@@ -220,18 +223,33 @@ def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
     elif host.ndim != 2 or host.shape[1] != LUMINANCE_NUMBERS:
         raise InputError(f"sh must be (rows, 9, 3) or (rows, 24), got {host.shape}")
     if host.dtype == np.float16 and device.is_cuda:
-        halves, singles = (
-            wp.array(np.ascontiguousarray(host), device=device),
-            empty_array(host.shape, wp.float32, device),
-        )
-        launch(grid_refine.widen_rows, halves.size // int(grid_refine.RUN), [halves], [singles], device=device)
-        return singles
+        return wp.array(np.ascontiguousarray(host), dtype=wp.float16, device=device)
     if host.dtype == np.float16:
         host = as_single(host)
     return wp.array(np.ascontiguousarray(host, np.float32), dtype=wp.float32, device=device)
 
 
+def store_harmonics(grid: Any, sh: wp.array) -> None:
+    """Let a VoxelGrid hold harmonics (rows, 27) or (rows, 24), float32 or float16."""
+    is_half = sh.dtype == wp.float16
+    grid.halves = sh if is_half else None
+    grid.sh = empty_array((0, sh.shape[1]), wp.float32, sh.device) if is_half else sh
+
+
+def stored_harmonics(grid: Any) -> wp.array:
+    """(rows, 27) or (rows, 24) harmonics of a VoxelGrid, float32 or float16."""
+    return grid.sh if grid.halves is None else grid.halves
+
+
+def widen_harmonics(grid: Any) -> None:
+    """Let a VoxelGrid whose harmonics are halves hold them as float32."""
+    halves = grid.halves
+    singles = empty_array(halves.shape, wp.float32, halves.device)
+    launch(grid_refine.widen_rows, halves.size // int(grid_refine.RUN), [halves], [singles], device=halves.device)
+    store_harmonics(grid, singles)
+
+
 def harmonics_on_host(sh: wp.array) -> np.ndarray:
-    """Harmonics (rows, 27) or (rows, 24) as files and callers have them: NumPy (rows, 9, 3) or (rows, 24)."""
-    host: np.ndarray = sh.numpy()
+    """Harmonics (rows, 27) or (rows, 24) as files and callers have them: NumPy (rows, 9, 3) or (rows, 24) float32."""
+    host: np.ndarray = sh.numpy() if sh.dtype == wp.float32 else as_single(sh.numpy())
     return host if sh.shape[1] == LUMINANCE_NUMBERS else host.reshape(-1, 3, BASIS_COUNT).transpose(0, 2, 1)

@@ -27,7 +27,7 @@ from ..view.frame import PART_NAMES, Frame
 from .bricks import ColorBricks
 from .io.field_file import MAX_VOXELS
 from .render import STOP_TRANSMITTANCE, FieldView
-from .sparse import MatterSkip, running_counts
+from .sparse import MatterSkip, running_counts, store_harmonics, stored_harmonics
 
 
 class MatterCellTable:
@@ -236,13 +236,19 @@ class MarchTables:
 
     def grid(self) -> Any:
         """The VoxelGrid, with a `skip` that leaves out what holds no matter now."""
-        own = self._grid
+        own, harmonics = self._grid, stored_harmonics(self._grid)
         with self._lock:
             skip, grid = self._matter.distance(own.density), self._marched
-            if grid is None or grid.skip is not skip or grid.density is not own.density or grid.sh is not own.sh:
+            if (
+                grid is None
+                or grid.skip is not skip
+                or grid.density is not own.density
+                or stored_harmonics(grid) is not harmonics
+            ):
                 self._marched = grid = VoxelGrid()
                 grid.lower, grid.voxel_size, grid.inverse_voxel_size = own.lower, own.voxel_size, own.inverse_voxel_size
-                grid.links, grid.density, grid.sh, grid.skip = own.links, own.density, own.sh, skip
+                grid.links, grid.density, grid.skip = own.links, own.density, skip
+                store_harmonics(grid, harmonics)
         return grid
 
     def rows(self) -> Any:

@@ -34,7 +34,16 @@ from ..view.frame import Frame, checked_supersampling, parse_background, view_ba
 from .io import load_field, save_field
 from .io.field_file import BASIS_COUNT, FieldContents
 from .render import FieldView, RenderKeywords, RenderOptions, RenderTarget, VoxelKeywords, render_options, takes_options
-from .sparse import checked_resolution, harmonics_on_device, harmonics_on_host, place_grid, values_on_device
+from .sparse import (
+    checked_resolution,
+    harmonics_on_device,
+    harmonics_on_host,
+    place_grid,
+    store_harmonics,
+    stored_harmonics,
+    values_on_device,
+    widen_harmonics,
+)
 from .surface import DensityField, color_vertices, extract_mesh
 from .surroundings import LayeredBackground, OuterField
 from .tables import MarchTables
@@ -88,10 +97,8 @@ class VoxelField(HeldOnDevice):
         weights: (rows,) float32 Warp array or None.
         refined_cameras: RefinedCameras of the fit's pictures, where it refined them; None otherwise. Files of fields
             hold them, but for those of svox2.
-        grid: The VoxelGrid that kernels take; positions in it are relative to `center`. Its arrays may be written to at
-            any time, except the links. `skip` (nx-1, ny-1, nz-1) is the distance, in cells, of each cell from the
-            nearest one whose nodes have rows: rays skip that many.
-        marching: Tables of `grid` that ray marching reads.
+        stored: The VoxelGrid as frames read it: that of `grid`, whose `sh` may be left out for `halves`.
+        marching: Tables of it that ray marching reads.
     """
 
     _elsewhere = "save it, and load the file in each of them"
@@ -125,18 +132,19 @@ class VoxelField(HeldOnDevice):
         self.voxel_size = (self.bounds[1] - self.bounds[0]) / self.resolution
 
         with device_turn(self.device):
-            self.grid = self._filled_grid(links, density, sh, weights)
-        self.marching = MarchTables(self.grid)
+            self.stored = self._filled_grid(links, density, sh, weights)
+        self.marching = MarchTables(self.stored)
 
     def _filled_grid(self, links: Any, density: Any, sh: Any, weights: Any) -> Any:
         """The VoxelGrid of the arrays that the constructor was given; their weights go to `weights`."""
         grid = VoxelGrid()
         grid.links = values_on_device(links, wp.int32, self.device)
         grid.density = values_on_device(density, wp.float32, self.device)
-        grid.sh = harmonics_on_device(sh, self.device)
-        if grid.density.ndim != 1 or grid.sh.shape[0] != grid.density.shape[0]:
+        harmonics = harmonics_on_device(sh, self.device)
+        store_harmonics(grid, harmonics)
+        if grid.density.ndim != 1 or harmonics.shape[0] != grid.density.shape[0]:
             raise InputError(
-                f"density and sh must have one row per voxel, got {grid.density.shape} and {grid.sh.shape[0]} rows"
+                f"density and sh must have one row per voxel, got {grid.density.shape} and {harmonics.shape[0]} rows"
             )
         self.weights = None if weights is None else values_on_device(weights, wp.float32, self.device)
         if self.weights is not None and self.weights.shape != grid.density.shape:
@@ -144,6 +152,19 @@ class VoxelField(HeldOnDevice):
 
         place_grid(grid, self.bounds)
         return grid
+
+    @property
+    @in_turn
+    def grid(self) -> Any:
+        """The VoxelGrid that kernels take; positions in it are relative to `center`.
+
+        Its arrays may be written to at any time, except the links. `skip` (nx-1, ny-1, nz-1) is the distance, in cells,
+        of each cell from the nearest one whose nodes have rows: rays skip that many. On CUDA harmonics of a file are
+        held as its half floats until this is asked for, and as float32 from then on.
+        """
+        if self.stored.halves is not None:
+            widen_harmonics(self.stored)
+        return self.stored
 
     @classmethod
     def from_dense(
@@ -197,7 +218,7 @@ class VoxelField(HeldOnDevice):
     @property
     def voxel_count(self) -> int:
         """Voxels that hold values."""
-        return self.grid.density.shape[0]
+        return self.stored.density.shape[0]
 
     @functools.cached_property
     def step(self) -> float:
@@ -234,7 +255,7 @@ class VoxelField(HeldOnDevice):
             raise InputError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
         rgb = empty_array(x.shape[0], wp.vec3, self.device)
         density = empty_array(x.shape[0], wp.float32, self.device)
-        launch(sample_field, x.shape[0], [self.grid, wp.vec3(*origin), x, d], [rgb, density], device=self.device)
+        launch(sample_field, x.shape[0], [self.stored, wp.vec3(*origin), x, d], [rgb, density], device=self.device)
         if is_device_array(points) or is_device_array(directions):
             require_finite(("points", x), ("directions", d))
         return as_given(rgb, given), as_given(density, given)
@@ -366,7 +387,7 @@ class VoxelField(HeldOnDevice):
 
     def node_densities(self) -> np.ndarray:
         """(nx, ny, nz) float32 density at the voxel centres, zero where there is none or it is negative."""
-        return np.maximum(self._dense(self.grid.density), 0.0)
+        return np.maximum(self._dense(self.stored.density), 0.0)
 
     def node_weights(self) -> np.ndarray | None:
         """(nx, ny, nz) float32, the largest rendering weight of each voxel, or None where none was recorded."""
@@ -375,7 +396,7 @@ class VoxelField(HeldOnDevice):
     @in_turn
     def _dense(self, rows: wp.array) -> np.ndarray:
         """(nx, ny, nz) float32 values of the voxels, zero where there is no row."""
-        links = self.grid.links.numpy()
+        links = self.stored.links.numpy()
         if not rows.size:
             return np.zeros(links.shape, np.float32)
         return np.where(links >= 0, rows.numpy()[np.maximum(links, 0)], np.float32(0))
@@ -461,9 +482,9 @@ class VoxelField(HeldOnDevice):
         model = self.background_model
         return FieldContents(
             bounds=self.bounds,
-            links=self.grid.links.numpy(),
-            density=self.grid.density.numpy(),
-            sh=harmonics_on_host(self.grid.sh),
+            links=self.stored.links.numpy(),
+            density=self.stored.density.numpy(),
+            sh=harmonics_on_host(stored_harmonics(self.stored)),
             weights=None if self.weights is None else self.weights.numpy(),
             background=self.background,
             up=self.up,
@@ -486,9 +507,9 @@ class VoxelField(HeldOnDevice):
         device = resolve_device(device)
         if device == self.device:
             return self
-        grid = self.grid
+        grid, sh = self.stored, stored_harmonics(self.stored)
         moved = VoxelField(
-            self.bounds, grid.links, grid.density, grid.sh, weights=self.weights, device=device, **self.view_options()
+            self.bounds, grid.links, grid.density, sh, weights=self.weights, device=device, **self.view_options()
         )
         moved.refined_cameras = self.refined_cameras
         return moved

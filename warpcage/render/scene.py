@@ -150,7 +150,7 @@ class PosedScene(PosedEdits):
             return [marching.rows()]
         if not self.carried_colors.is_posed:
             return None
-        return [self.carried_colors.shaded(view.field.grid, marching.columns, view.center, view.step)]
+        return [self.carried_colors.shaded(view.field.stored, marching.columns, view.center, view.step)]
 
     def _find_places(self, grid: Any) -> None:
         """Launch what finds where the pose takes matter."""

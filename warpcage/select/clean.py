@@ -15,7 +15,7 @@ from ..core.names import counted
 from ..core.threads import device_turn
 from ..errors import InputError
 from ..field.render import STOP_TRANSMITTANCE
-from ..field.sparse import harmonics_on_host
+from ..field.sparse import harmonics_on_host, stored_harmonics
 from ..field.voxel_field import VoxelField
 from ..kernels.field.march import record_weights
 from ..kernels.view.rays import PinholeCamera
@@ -71,7 +71,7 @@ def clean_voxels(field: VoxelField, options: CleanOptions) -> Cleaned:
     """A field of voxels cleaned by the options; refused where no visible voxel would be left."""
     from scipy.ndimage import binary_dilation
 
-    cube, links = np.ones((3, 3, 3), bool), field.grid.links.numpy()
+    cube, links = np.ones((3, 3, 3), bool), field.stored.links.numpy()
     seen, linked = visible_mask(field), links >= 0
     loose, count = detached_nodes(seen, options)
     # with what fades around them, but not what fades around what stays
@@ -143,7 +143,7 @@ def voxel_weights(field: VoxelField, camera: Camera) -> np.ndarray:
     weights = wp.zeros(field.voxel_count, dtype=wp.float32, device=field.device)
     with device_turn(field.device):
         cameras = wp.array([camera_struct(camera, field.center)], dtype=PinholeCamera, device=field.device)
-        inputs = [cameras, 1, None, field.grid, field.step, STOP_TRANSMITTANCE]
+        inputs = [cameras, 1, None, field.stored, field.step, STOP_TRANSMITTANCE]
         count = camera.width * camera.height
         launch(record_weights, count, inputs, [weights, None], device=field.device, threads=1, work=RAY_WORK)
         return weights.numpy()
@@ -151,10 +151,10 @@ def voxel_weights(field: VoxelField, camera: Camera) -> np.ndarray:
 
 def without_voxels(field: VoxelField, gone: np.ndarray) -> VoxelField:
     """A field without the voxels of a mask (nx, ny, nz) bool, in the same box."""
-    links = field.grid.links.numpy()
+    links = field.stored.links.numpy()
     kept = (links >= 0) & ~gone
     rows, new = links[kept], np.full(links.shape, -1, np.int32)
     new[kept] = np.arange(len(rows), dtype=np.int32)
     weights = None if field.weights is None else field.weights.numpy()[rows]
-    values = field.grid.density.numpy()[rows], harmonics_on_host(field.grid.sh)[rows]
+    values = field.stored.density.numpy()[rows], harmonics_on_host(stored_harmonics(field.stored))[rows]
     return VoxelField(field.bounds, new, *values, weights=weights, device=field.device, **field.view_options())

@@ -22,7 +22,7 @@ from ..core.files import PathLike
 from ..core.names import counted
 from ..errors import InputError
 from ..field.io.field_file import Y0
-from ..field.sparse import harmonics_on_host
+from ..field.sparse import harmonics_on_host, stored_harmonics
 from ..field.surface import DensityField, node_grid
 from ..field.voxel_field import VoxelField
 from ..mesh.mesh import ClosedMesh
@@ -46,7 +46,7 @@ def cut_out(field: VoxelField, mask: np.ndarray) -> VoxelField:
 
     if not mask.any():
         raise InputError("nothing is chosen that could be cut out")
-    links = field.grid.links.numpy()
+    links = field.stored.links.numpy()
     grown = np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool)))
     ends = [np.flatnonzero(grown.any(axis=others))[[0, -1]] + (0, 1) for others in ((1, 2), (0, 2), (0, 1))]
     block = tuple(slice(*each) for each in ends)
@@ -54,13 +54,13 @@ def cut_out(field: VoxelField, mask: np.ndarray) -> VoxelField:
     kept = grown[block] & (links >= 0)
     rows, inside = links[kept], mask[kept]
     bounds = field.bounds[0] + np.transpose(ends) * field.voxel_size
-    density = field.grid.density.numpy()[rows]
+    density = field.stored.density.numpy()[rows]
     density = np.where(inside, density, np.minimum(density, 0.0)).astype(np.float32)
     new = np.full(links.shape, -1, np.int32)
     new[kept] = np.arange(len(rows), dtype=np.int32)
     weights = None if field.weights is None else np.where(inside, field.weights.numpy()[rows], np.float32(0.0))
     options = {**field.view_options(), "background_model": None}
-    sh = harmonics_on_host(field.grid.sh)[rows]
+    sh = harmonics_on_host(stored_harmonics(field.stored))[rows]
     return VoxelField(bounds, new, density, sh, weights=weights, device=field.device, **options)
 
 
@@ -86,16 +86,16 @@ def painted_voxels(field: VoxelField, mask: np.ndarray) -> VoxelField:
     """A field of the same matter before black, white in the voxels of a mask (nx, ny, nz) bool and black elsewhere."""
     from scipy.ndimage import binary_dilation
 
-    links = field.grid.links.numpy()
+    links = field.stored.links.numpy()
     rows = np.zeros(field.voxel_count, bool)
     # a surface lies between voxels that are chosen and empty ones, which are the chosen matter's rim
     rim = links[np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool))) & (links >= 0)]
-    rows[rim] = field.grid.density.numpy()[rim] * field.voxel_size.max() < RIM_DEPTH
+    rows[rim] = field.stored.density.numpy()[rim] * field.voxel_size.max() < RIM_DEPTH
     rows[links[mask & (links >= 0)]] = True
     shown = np.zeros((field.voxel_count, 9, 3), np.float32)
     shown[:, 0] = np.where(rows, 0.5, -0.5)[:, None] / Y0
     return VoxelField(
-        field.bounds, links, field.grid.density, shown, background="black", up=field.up, device=field.device
+        field.bounds, links, field.stored.density, shown, background="black", up=field.up, device=field.device
     )
 
 
@@ -195,7 +195,7 @@ def visible_nodes(field: DensityField, threshold: float | None = None) -> np.nda
 def some_visible_nodes(field: DensityField, count: int = 20_000) -> np.ndarray:
     """About so many of the nodes of a field that can be seen, evenly over it, (n, 3) float64, world units.
     The same for the same field, without a look at all of its nodes."""
-    grid = getattr(field, "grid", None)
+    grid = getattr(field, "stored", None)
     if grid is None:
         points = visible_nodes(field)
     else:
@@ -237,7 +237,7 @@ def _occupancy(field: DensityField) -> str:
     if of_splats is not None:
         return of_splats.digest
     whole = root_field(field)
-    grid = getattr(whole, "grid", None)
+    grid = getattr(whole, "stored", None)
     return occupancy_digest(whole.node_densities() > 0.0 if grid is None else grid.links.numpy() >= 0)
 
 
@@ -251,7 +251,7 @@ def root_field(field: DensityField) -> DensityField:
 def visible_rows(field: VoxelField) -> np.ndarray:
     """`visible_mask` of a VoxelField, row by row: (rows,) bool."""
     weights = None if field.weights is None else field.weights.numpy()
-    return _visible(field.grid.density.numpy(), weights, field.voxel_size)
+    return _visible(field.stored.density.numpy(), weights, field.voxel_size)
 
 
 # Stands in for its field wherever densities are read: `Cage.from_field(selection)`, `extract_mesh(selection)`.

@@ -12,6 +12,7 @@ for (int part = 0; part < width; ++part)
     const int owner = entry / width;
     const int number = entry - owner * width;
     const int source = __shfl_sync(0xffffffffu, row, owner);
-    rows[owner * stride + number] = sh.data[(size_t)source * width + number];
+    const size_t at = (size_t)source * width + number;
+    rows[owner * stride + number] = halves.data ? wp::half_to_float(halves.data[at]) : sh.data[at];
 }
 __syncwarp();

@@ -38,20 +38,57 @@ def test_basis_is_the_real_spherical_harmonics(device):
 
 
 @pytest.mark.parametrize("shape", [(301, 24), (301, 9, 3), (0, 24)])
-def test_halves_become_single_on_the_device(device, shape):
-    """As files have them: the smallest, the largest, and without order in memory."""
+def test_halves_stay_halves_on_a_gpu(device, shape):
+    """As files have them: the smallest, the largest, and without order in memory. CPUs have them as single."""
     random = np.random.default_rng(0)
     sh = (random.normal(size=shape) * 10.0 ** random.uniform(-7, 4, shape)).astype(np.float16)
     expected = harmonics_on_device(sh.astype(np.float32), wp.get_device(device))
     for given in (sh, np.asfortranarray(sh)):
         found = harmonics_on_device(given, wp.get_device(device))
-        assert found.dtype == wp.float32 and found.shape == expected.shape and str(found.device) == device
+        assert found.dtype == (wp.float32 if found.device.is_cpu else wp.float16)
+        assert found.shape == expected.shape and str(found.device) == device
         assert np.array_equal(found.numpy(), expected.numpy())
     rows = sh.reshape(len(sh), np.prod(shape[1:]))
     runs = wp.array(rows, dtype=wp.float16, device=device)
     singles = wp.full(runs.shape, 7.0, dtype=wp.float32, device=device)
     launch(refine.widen_rows, runs.size // int(refine.RUN), [runs], [singles], device=device)
     assert np.array_equal(singles.numpy(), rows.astype(np.float32))
+
+
+@oracle.both_kinds
+def test_harmonics_of_files_are_the_same_as_halves_and_as_single(numbers, device, tmp_path):
+    """A GPU holds the halves of a file until someone asks for the grid; nothing that is seen or saved changes then."""
+    made, _, _ = oracle.random_field(device, numbers=numbers)
+    made.save(tmp_path / "made.npz")
+    field = warpcage.VoxelField.load(tmp_path / "made.npz", device=device)
+    assert (field.stored.halves is None) == field.device.is_cpu
+    random = np.random.default_rng(5)
+    points, along = random.uniform(*field.bounds, (2000, 3)), directions_of(2000)
+    camera = warpcage.Camera.look_at(field.center + 4.0, field.center, fov_degrees=20, width=32, height=32)
+    near = warpcage.Camera.look_at(field.center + 0.1, field.center, fov_degrees=60, width=32, height=32)
+    cage = warpcage.Cage.box(*(field.center + 0.8 * (field.bounds - field.center)))
+
+    def seen(name):
+        posed = warpcage.Deformer(field, cage, coordinates="mean_value", resolution=16).pose(cage.twist(20))
+        exact = warpcage.Deformer(field, cage, coordinates="mean_value", resolution=None).pose(cage.twist(20))
+        field.save(tmp_path / name)
+        shown = [each.render(view).rgb for each in (field, posed) for view in (camera, near)]
+        baked = warpcage.bake(posed, 12)
+        return [*shown, exact.render(camera).rgb, *field.sample(points, along), baked.grid.sh.numpy()]
+
+    before = seen("halves.npz")
+    moved = field.to("cpu")
+    single = field.grid
+    assert single.sh.dtype == wp.float32 and field.stored.halves is None
+    np.testing.assert_array_equal(moved.grid.sh.numpy(), single.sh.numpy())
+    np.testing.assert_array_equal(single.sh.numpy().astype(np.float16), single.sh.numpy())
+    for as_halves, as_single in zip(before, seen("single.npz"), strict=True):
+        assert np.abs(as_halves).max() > 0
+        np.testing.assert_allclose(as_halves, as_single, atol=1e-6)
+    archives = [np.load(tmp_path / f"{name}.npz") for name in ("made", "halves", "single")]
+    for name in archives[0].files:
+        for archive in archives[1:]:
+            np.testing.assert_array_equal(archive[name], archives[0][name])
 
 
 @oracle.both_kinds

@@ -9,7 +9,7 @@ import numpy as np
 from ...core.checks import checked_whole, require_type
 from ...errors import InputError
 from ...field.io.field_file import rgb_harmonics
-from ...field.sparse import harmonics_on_host
+from ...field.sparse import harmonics_on_host, stored_harmonics
 from ...field.voxel_field import VoxelField
 from ...select.selection import visible_rows
 from ...splats.io.contents import MIN_OPACITY
@@ -54,11 +54,11 @@ def to_splats(field: VoxelField, *, most: int = 200_000, seed: int = 0) -> Splat
     """
     require_type(field, VoxelField, "to_splats needs")
     most, random = checked_whole(most, "most", 1), np.random.default_rng(checked_whole(seed, "the seed", 0))
-    links = field.grid.links.numpy()
+    links = field.stored.links.numpy()
     side = float(np.prod(field.voxel_size) ** (1.0 / 3.0))
     seen = visible_rows(field)
     if field.weights is None:
-        seen = seen & ~_hidden_rows(links, field.grid.density.numpy() * side)
+        seen = seen & ~_hidden_rows(links, field.stored.density.numpy() * side)
     cells = np.argwhere(links >= 0)
     cells = cells[seen[links[tuple(cells.T)]]]
     centers = field.bounds[0] + (cells + 0.5) * field.voxel_size
@@ -77,7 +77,7 @@ def to_splats(field: VoxelField, *, most: int = 200_000, seed: int = 0) -> Splat
         np.broadcast_to(np.log(SPREAD * larger * field.voxel_size), (len(chosen), 3)),
         quaternions,
         np.log(opacities) - np.log1p(-opacities),
-        rgb_harmonics(harmonics_on_host(field.grid.sh)[links[tuple(cells[chosen].T)]], 16),
+        rgb_harmonics(harmonics_on_host(stored_harmonics(field.stored))[links[tuple(cells[chosen].T)]], 16),
         background=field.background,
         up=field.up,
         device=field.device,

@@ -129,7 +129,7 @@ def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
     field = require_voxels(shared.read_field(args), "info")
     cameras = None if field.refined_cameras is None else field.refined_cameras.cameras
     share = field.voxel_count / (field.resolution[0] * field.resolution[1] * field.resolution[2])
-    density = field.grid.density.numpy()
+    density = field.stored.density.numpy()
     weights = None if field.weights is None else field.weights.numpy()
     return [
         ("kind", "field"),

@@ -27,6 +27,7 @@ from ...deform.poses import PoseLike
 from ...deform.stage import Stage
 from ...edits.place import PlaceFile
 from ...errors import InputError
+from ...field.sparse import stored_harmonics
 from ...field.voxel_field import VoxelField
 from ...mesh.mesh import ClosedMesh
 from ...render.surface_mesh import SurfaceMesh
@@ -474,8 +475,9 @@ def _parts(scene_object: Any) -> list[Any] | None:
         return [scene_object.surface, scene_object.background, scene_object.supersampling]
     if isinstance(scene_object, VoxelField):
         behind = None if scene_object.background_model is None else scene_object.background_model.contents()
-        names = "bounds", "grid.links", "grid.density", "grid.sh", "background", "supersampling"
-        return [*attrgetter(*names)(scene_object), behind]
+        harmonics = stored_harmonics(scene_object.stored).numpy().astype(np.float32)  # the same on all devices
+        values = attrgetter("bounds", "stored.links", "stored.density")(scene_object)
+        return [*values, harmonics, scene_object.background, scene_object.supersampling, behind]
     if isinstance(scene_object, ClosedMesh):
         return [scene_object.vertices, scene_object.faces]
     if isinstance(scene_object, dict | PlaceFile):
