@@ -25,7 +25,6 @@ from machine_code import kernel_modules
 import warpcage
 from warpcage import FieldOptimizer, PositionMap
 from warpcage.core import COORDINATES, launch, limit_threads
-from warpcage.field import harmonics_on_device
 from warpcage.fitting.splats import PictureLoss
 from warpcage.kernels.coordinates.green import map_green
 from warpcage.lattice import HarmonicSolver, PoseGraph
@@ -40,8 +39,8 @@ CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add
             "field.occupancy.gather_densities", "field.occupancy.note_densities", "field.occupancy.spread_lines",
             "mesh.shell.", "mesh.collapses.", "splats.composite_cpu.", "splats.pose.carry_bound"}  # fmt: skip
 CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows",
-             "field.densities.lay_densities", "field.refine.widen_rows",
-             "field.occupancy.spread_distance", "field.colors.",
+             "field.densities.lay_densities", "field.refine.widen_rows", "field.outer_bricks.",
+             "field.columns.link_rows", "field.occupancy.spread_distance", "field.colors.",
              "field.march.rows.", "field.march.shaded.", "render.views.rows", "render.views.shaded",
              "render.shading.", "edits.fine_cells.", "edits.inverse.", "core.texels.",
              "edits.nodes.", "view.tile_order.",
@@ -112,7 +111,8 @@ def fields(device) -> None:
     field.render(warpcage.Camera.look_at((0, 0, 0.1), (0, 0, 0), width=8, height=8))  # too near for shaded voxels
     for points in (POINTS, wp.array(POINTS, dtype=wp.vec3, device=device)):
         field.sample(points, np.ones((64, 3)))
-    harmonics_on_device(np.zeros((5, 24), np.float16), wp.get_device(device))
+    halves = np.zeros((field.voxel_count, 24), np.float16)
+    assert warpcage.VoxelField(field.bounds, field.host_links(), field.stored.density, halves, device=device).grid
     CAGE.contains(2.2 * POINTS, device=device)  # in it, at it and beside it
     CAGE.check(field=field)
     for method in ("voxel", "shell") if field.device.is_cpu else ():  # cages are made on the CPU on any machine

@@ -10,10 +10,9 @@ from ..core.gradients import forward
 from ..core.lanes import grid_place
 from ..core.texels import FOUR_HALVES
 from ..core.variants import native_source
-from .columns import Columns
-from .grid import VoxelGrid, eight_rows
+from .columns import Columns, cell_rows, eight_rows
+from .grid import VoxelGrid
 from .harmonics import sh_basis, vec16
-from .rows import cell_rows
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 

@@ -9,6 +9,8 @@ from ..core.variants import native_source
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
+eight_rows = wp.types.vector(length=8, dtype=wp.int32)
+
 #: Nodes of a block.
 BLOCK_NODES = wp.constant(31)
 
@@ -37,6 +39,27 @@ class Columns:
     node_counts: wp.vec3i
     blocks: wp.array2d(dtype=wp.vec2i)  # (nx * ny, blocks of a column) bits and first row
     order: wp.array(dtype=wp.int32)  # the grid's row of each row; none where they are the same
+
+
+@wp.func_native(
+    CELL_PLACE
+    + """    wp::vec_t<8, wp::int32> rows;
+#if defined(__CUDA_ARCH__)
+    #pragma unroll
+#endif
+    for (int column = 0; column < 4; ++column)
+    {
+"""
+    + COLUMN_ENTRY
+    + """        rows.c[2 * column] = (bits & 1u) ? row : -1;
+        rows.c[2 * column + 1] = (bits & 2u) ? row + (int)(bits & 1u) : -1;
+    }
+    return rows;
+"""
+)
+def cell_rows(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_rows:
+    """Rows of the eight nodes of the cell above node (i, j, k), -1 for none; corner c is at (c & 4, c & 2, c & 1)."""
+    ...
 
 
 @wp.kernel
@@ -78,3 +101,15 @@ def find_unsorted(first: int, order: wp.array(dtype=wp.int32), unsorted: wp.arra
     n = first + wp.tid()
     if order[n] != n:
         unsorted[0] = 1
+
+
+@wp.kernel
+def link_rows(
+    first: int, nodes: wp.array(dtype=wp.int32), order: wp.array(dtype=wp.int32), links: wp.array(dtype=wp.int32)
+):
+    """The grid's number of each row to its node. nodes: (rows,) of `mark_blocks`; order: of Columns; links: (all,)."""
+    n = first + wp.tid()
+    row = int(n)
+    if order.shape[0] > 0:
+        row = order[n]
+    links[nodes[n]] = row

@@ -4,11 +4,10 @@ import warp as wp
 
 from ..core.gradients import forward, forward_only_in
 from ..view.rays import box_span
+from .columns import eight_rows
 from .harmonics import COLOR_OF_ROW, sh_basis, vec16
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
-
-eight_rows = wp.types.vector(length=8, dtype=wp.int32)
 
 eight_weights = wp.types.vector(length=8, dtype=wp.float32)
 
@@ -61,7 +60,7 @@ class VoxelGrid:
     lower: wp.vec3  # position of node (0, 0, 0)
     voxel_size: wp.vec3
     inverse_voxel_size: wp.vec3
-    links: wp.array3d(dtype=wp.int32)  # row of a node, or -1
+    links: wp.array3d(dtype=wp.int32)  # row of a node, or -1; none where field/columns has them
     skip: wp.array3d(dtype=wp.uint8)  # cell -> Chebyshev distance in cells to the nearest that holds anything, 0 there
     density: wp.array(dtype=wp.float32)  # (rows,) per world unit
     sh: wp.array2d(dtype=wp.float32)  # (rows, 24 or 27) numbers of field/harmonics, without gaps
@@ -197,7 +196,7 @@ def sample_field(
 @wp.func
 def grid_span(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
     """Distances (near, far) at which a ray is among the grid's nodes."""
-    cells = wp.vec3(float(grid.links.shape[0] - 1), float(grid.links.shape[1] - 1), float(grid.links.shape[2] - 1))
+    cells = wp.vec3(float(grid.skip.shape[0]), float(grid.skip.shape[1]), float(grid.skip.shape[2]))
     return box_span(origin, direction, grid.lower, grid.lower + wp.cw_mul(cells, grid.voxel_size))
 
 

@@ -4,6 +4,7 @@ import warp as wp
 
 from ..core.gradients import forward
 from ..core.lanes import grid_place
+from .columns import Columns, cell_rows
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -102,18 +103,18 @@ def mark_cells(first: int, links: wp.array3d(dtype=wp.int32), distance: wp.array
 
 @wp.kernel
 def mark_matter(
-    first: int,
-    links: wp.array3d(dtype=wp.int32),
-    density: wp.array(dtype=wp.float32),
-    distance: wp.array3d(dtype=wp.uint8),
+    first: int, columns: Columns, density: wp.array(dtype=wp.float32), distance: wp.array3d(dtype=wp.uint8)
 ):
     """0 where any of a cell's eight nodes has a density above zero, SKIP_LIMIT elsewhere: no place in such a cell has
     one, as trilinear weights are not negative. distance: (nx-1, ny-1, nz-1)."""
     i, j, k = grid_place(first + wp.tid(), distance.shape[1], distance.shape[2])
     value = int(SKIP_LIMIT)
+    rows = cell_rows(columns, i, j, k)
     for c in range(8):
-        row = links[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
+        row = rows[c]
         if row >= 0:
+            if columns.order.shape[0] > 0:
+                row = columns.order[row]
             if density[row] > 0.0:
                 value = int(0)
     distance[i, j, k] = wp.uint8(value)

@@ -8,8 +8,8 @@ import warp as wp
 
 from ..core.gradients import forward
 from ..core.variants import native_source
-from .columns import CELL_PLACE, COLUMN_ENTRY, Columns
-from .grid import VoxelGrid, eight_rows
+from .columns import Columns
+from .grid import VoxelGrid
 from .harmonics import vec16
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
@@ -23,27 +23,6 @@ class RowTable:
     packed: wp.array2d(dtype=wp.uint32)  # (rows, 8) on CUDA, else none
     laid: wp.array(dtype=wp.float16)  # (nodes,) density of each node in units, 0 without a row; on CUDA, else none
     unit: float  # of laid densities
-
-
-@wp.func_native(
-    CELL_PLACE
-    + """    wp::vec_t<8, wp::int32> rows;
-#if defined(__CUDA_ARCH__)
-    #pragma unroll
-#endif
-    for (int column = 0; column < 4; ++column)
-    {
-"""
-    + COLUMN_ENTRY
-    + """        rows.c[2 * column] = (bits & 1u) ? row : -1;
-        rows.c[2 * column + 1] = (bits & 2u) ? row + (int)(bits & 1u) : -1;
-    }
-    return rows;
-"""
-)
-def cell_rows(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_rows:
-    """Rows of the eight nodes of the cell above node (i, j, k), -1 for none; corner c is at (c & 4, c & 2, c & 1)."""
-    ...
 
 
 @forward.func_native(native_source(__file__, "cpp/row_color.h"))

@@ -116,7 +116,7 @@ def _baked(
     spacing = wp.vec3(side, side, side)
     lower = searched[0] + 0.5 * side  # of the first voxel's centre
     mask = empty_array(tuple(int(n) for n in shape), wp.uint8, device)
-    inputs = [edits.array, field.stored, wp.vec3(*(lower - field.center)), spacing]
+    inputs = [edits.array, field.linked_grid(), wp.vec3(*(lower - field.center)), spacing]
     launch(mark_filled_nodes, mask.size, inputs, [mask], device=device)
     filled = mask.numpy()
     begin, end = filled_range(filled)
@@ -130,7 +130,7 @@ def _baked(
     sh = empty_array((nodes.size, field.stored.sh.shape[1]), wp.float32, device)
     inputs = [
         edits.array,
-        field.stored,
+        field.stored,  # with the links that were asked for above
         wp.vec3(*(lower - field.center)),
         spacing,
         nodes,

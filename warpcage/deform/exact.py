@@ -87,6 +87,7 @@ class ExactEdits(PosedEdits):
         if not view.target.is_again:
             marching.begin()
         target = frame_target(view, arc_opacity)
+        view.field.linked_grid()
         grid = marching.marched if view.target.is_again else marching.grid()
         self.prepare(grid, view.step)
         self.launcher.march(exact_kernel(), [grid, self.array], target, work=self.sample_work)

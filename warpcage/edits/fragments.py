@@ -38,7 +38,7 @@ def fragment_voxels(field: VoxelField, cage: Cage, size: float) -> np.ndarray:
     low, high = np.clip(low, 0, field.resolution), np.clip(high, 0, field.resolution)
     if not field.voxel_count or (high - low < 1).any():
         return np.zeros((0, 3), int)
-    links = field.stored.links.numpy()[tuple(map(slice, low, high))]
+    links = field.host_links()[tuple(map(slice, low, high))]
     held = links >= 0
     matter = np.logical_and(held, visible_rows(field)[np.maximum(links, 0)])
 

@@ -25,7 +25,7 @@ class _Part:
     """A field, and the part of the grid that it stands in."""
 
     def __init__(self, field: VoxelField, corner: np.ndarray, side: float):
-        links = field.stored.links.numpy()
+        links = field.host_links()
         begin = np.rint((field.bounds[0] - corner) / side).astype(int)
         self._window = tuple(slice(first, first + count) for first, count in zip(begin, links.shape, strict=True))
         self.filled = links >= 0

@@ -126,22 +126,22 @@ class MatterSkip:
     # Rows reach further than matter: marches that know this look at half as many samples. Densities may change at any
     # time, by a fit or a caller: what this holds depends on their signs alone, compared at each call.
 
-    def __init__(self, links: wp.array):
-        self._links = links
+    def __init__(self, shape: tuple[int, ...], device: wp.DeviceLike):
+        self._shape, self._device = shape, wp.get_device(device)  # (nx-1, ny-1, nz-1) cells
         self._positive: wp.array | None = None
         self._distance: wp.array | None = None
         self._changed: HostFlag | None = None
-        self._note_signs = RecordedLaunch(grid_skip.note_signs, links.device)
+        self._note_signs = RecordedLaunch(grid_skip.note_signs, self._device)
         self._is_compared = False
         # signs need not be noted where no density has changed
-        self._watch = DensityWatch() if wp.get_device(links.device).is_cpu else None
+        self._watch = DensityWatch() if self._device.is_cpu else None
         self._noted = 0
 
     def compare(self, density: wp.array) -> None:
         """Launch the comparison of densities (rows,) float32, before the ReLU, that `distance` asks for.
         What is launched in between has the device at work while the host waits."""
         self._settle()  # a result that no call has taken
-        device = self._links.device
+        device = self._device
         if self._positive is None or self._positive.size != density.size:
             self._positive, self._distance = wp.zeros(density.size, dtype=wp.uint8, device=device), None
         if self._changed is None:  # a fit never asks
@@ -158,17 +158,17 @@ class MatterSkip:
         """Of the densities that were compared last, on a CPU: another number whenever any of them is another one."""
         return 0 if self._watch is None else self._watch.version
 
-    def distance(self, density: wp.array) -> wp.array:
-        """(nx-1, ny-1, nz-1) uint8 Chebyshev distance in cells, 0 in cells with a density above zero at a corner.
-        Another array whenever any of it changes. density: that of the last `compare`, if no call has asked since."""
+    def distance(self, density: wp.array, columns: Any) -> wp.array:
+        """(nx-1, ny-1, nz-1) uint8 distance in cells, 0 where a corner has a density above zero; a new array when any
+        changes. density: that of the last `compare`, if no call has asked since; columns: those of the grid's rows."""
         if not self._is_compared:
             self.compare(density)
         self._settle()
         if self._distance is None:
-            shape, device = tuple(n - 1 for n in self._links.shape), self._links.device
+            shape, device = self._shape, self._device
             held = (empty_array(math.prod(shape) + PADDING, wp.uint8, device) for _ in range(2))
             distance, spread = (array_view(each, wp.uint8, shape) for each in held)
-            launch(grid_skip.mark_matter, distance.size, [self._links, density], [distance], device=device)
+            launch(grid_skip.mark_matter, distance.size, [columns, density], [distance], device=device)
             self._distance = _spread(distance, spread)
         return self._distance
 

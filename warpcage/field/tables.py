@@ -27,23 +27,22 @@ from ..view.frame import PART_NAMES, Frame
 from .bricks import ColorBricks
 from .io.field_file import MAX_VOXELS
 from .render import STOP_TRANSMITTANCE, FieldView
-from .sparse import MatterSkip, running_counts, store_harmonics, stored_harmonics
+from .sparse import MatterSkip, measure_skip, running_counts, store_harmonics, stored_harmonics
 
 
 class MatterCellTable:
-    """The densities of a grid by cells, see kernels/field/occupancy; links (nx, ny, nz) int32 on a CPU."""
+    """The densities of a grid by cells on a CPU, see kernels/field/occupancy."""
 
-    def __init__(self, links: wp.array):
-        self._links = links
+    def __init__(self) -> None:
         self._made: tuple[wp.array, int] | None = None  # from which skip, and which version of the densities
         self._cells: Any = None
 
-    def cells(self, density: wp.array, skip: wp.array, version: int) -> Any:
+    def cells(self, links: wp.array, density: wp.array, skip: wp.array, version: int) -> Any:
         """The table, a MatterCells, of densities (rows,) float32, before the ReLU; made anew where it is of other ones.
-        skip: of MatterSkip for these densities; version: theirs, see DensityWatch."""
+        links: (nx, ny, nz) int32; skip: of MatterSkip for these densities; version: theirs, see DensityWatch."""
         if self._made is None or self._made[0] is not skip or self._made[1] != version:
             self._made = None  # an interrupt leaves none
-            self._cells = gathered_cells(self._links, density, skip)
+            self._cells = gathered_cells(links, density, skip)
             self._made = skip, version
         return self._cells
 
@@ -100,6 +99,14 @@ class ColumnTable:
         self._shaded: Any = None
         self._texture_bricks = 0
         self.shade_rows = RecordedLaunch(shade_rows, device)  # launches the kernel of that name
+
+    def links(self) -> wp.array:
+        """(nx, ny, nz) int32 row of each node, or -1: a new array."""
+        shape = tuple(self.columns.node_counts)
+        links = wp.full(shape, -1, dtype=wp.int32, device=self._device)
+        inputs = [self.nodes, self.columns.order]
+        launch(columns.link_rows, self.nodes.size, inputs, [links.flatten()], device=self._device)
+        return links
 
     def laid_densities(self) -> wp.array:
         """(nodes,) float16, one for each node of the grid, made when it is first asked for; 0 without a row."""
@@ -166,7 +173,7 @@ def whole_warps(rows: int, device: wp.Device) -> int:
 
 def row_table(grid: Any, table: ColumnTable) -> Any:
     """The rows of a grid as a march reads them: a RowTable of the values that the grid has now."""
-    device, rows = grid.links.device, table.nodes.shape[0]
+    device, rows = wp.get_device(table.nodes.device), table.nodes.shape[0]
     result = RowTable()
     result.columns, result.unit = table.columns, 1.0 / min(grid.voxel_size)
     if not device.is_cpu:
@@ -185,7 +192,7 @@ def shaded_grid(grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> 
     colors = table.row_colors()
     if shaded.colors is not colors:
         shaded.colors = colors
-    table.shade_rows(whole_warps(table.nodes.shape[0], grid.links.device), [grid, table.nodes, shaded])
+    table.shade_rows(whole_warps(table.nodes.shape[0], wp.get_device(table.nodes.device)), [grid, table.nodes, shaded])
     return shaded
 
 
@@ -204,17 +211,17 @@ class MarchTables:
     Values are read anew for each frame; what is kept depends on links and densities' signs, compared at each frame."""
 
     def __init__(self, grid: Any):
-        self._grid = grid
+        self._grid, self._device = grid, wp.get_device(grid.links.device)
         self._columns: ColumnTable | None = None
         self._marched: Any = None
         self._launches: dict[Kernel, RecordedLaunch] = {}
-        self._matter = MatterSkip(grid.links)
-        self._cells = MatterCellTable(grid.links)
+        self._matter = MatterSkip(tuple(n - 1 for n in grid.links.shape), self._device)
+        self._cells = MatterCellTable()
         size, lower = np.array(grid.voxel_size), np.array(grid.lower)
         self._box = lower.tolist(), (lower + size * (np.array(grid.links.shape) - 1)).tolist()
         self._longest = float(size.max())
-        self.spare = SpareMemory(grid.links.device)  # of frames
-        self._lock = owner_lock(grid.links.device)  # threads may share a field
+        self.spare = SpareMemory(self._device)  # of frames
+        self._lock = owner_lock(self._device)  # threads may share a field
 
     @property
     def columns(self) -> ColumnTable:
@@ -223,6 +230,17 @@ class MarchTables:
             if self._columns is None:
                 self._columns = ColumnTable(self._grid.links)
             return self._columns
+
+    def drop_links(self) -> None:
+        """Let the grid have no links, nor the distances that go with them: frames read neither."""
+        self._columns = ColumnTable(self._grid.links)
+        self._grid.links = self._grid.skip = None
+
+    def restore_links(self) -> None:
+        """Let the grid have its links, and distances to the nearest cell that has any, where it has none."""
+        if self._grid.links is None:
+            self._grid.links = self.columns.links()
+            self._grid.skip = measure_skip(self._grid.links)
 
     def begin(self) -> None:
         """Start on what `grid` waits for; launch what does not need it in between."""
@@ -238,10 +256,11 @@ class MarchTables:
         """The VoxelGrid, with a `skip` that leaves out what holds no matter now."""
         own, harmonics = self._grid, stored_harmonics(self._grid)
         with self._lock:
-            skip, grid = self._matter.distance(own.density), self._marched
+            skip, grid = self._matter.distance(own.density, self.columns.columns), self._marched
             if (
                 grid is None
                 or grid.skip is not skip
+                or grid.links is not own.links
                 or grid.density is not own.density
                 or stored_harmonics(grid) is not harmonics
             ):
@@ -262,7 +281,7 @@ class MarchTables:
         arrays = view.new_arrays()
         ends = [pinhole, color, view.step, STOP_TRANSMITTANCE, *(arrays[name] for name in PART_NAMES)]
         if kernel not in self._launches:
-            self._launches[kernel] = RecordedLaunch(kernel, self._grid.links.device)
+            self._launches[kernel] = RecordedLaunch(kernel, self._device)
         run = self._launches[kernel]
         run(view.threads // rays, [*inputs, *ends], transient=len(ends), work=rays * view.work)
         return view.finished(arrays)
@@ -283,17 +302,17 @@ class MarchTables:
     @property
     def by_tiles(self) -> bool:
         """Whether kernels for the rays of a tile render views."""
-        return self._grid.links.device.is_cpu and TILES_ON_CPU
+        return self._device.is_cpu and TILES_ON_CPU
 
     def cells(self, grid: Any) -> Any:
         """The densities by cells, on a CPU: a MatterCells; grid: what `grid()` returned."""
         with self._lock:
-            return self._cells.cells(grid.density, grid.skip, self._matter.version)
+            return self._cells.cells(grid.links, grid.density, grid.skip, self._matter.version)
 
     def is_shaded(self, center: wp.vec3, others: Sequence[Sequence[Sequence[float]]] = ()) -> bool:
         """Whether voxels are shaded for a camera: where none is near it, nor to others: boxes (2, 3) they are moved
         into. centre: of the camera, relative to the grid's origin, as boxes are."""
-        if self._grid.links.device.is_cpu and not SHADED_ON_CPU:
+        if self._device.is_cpu and not SHADED_ON_CPU:
             return False
         near, place = NEAR_VOXELS * self._longest, (center[0], center[1], center[2])
         return all(box_distance(lower, upper, place) > near for lower, upper in (self._box, *others))

@@ -97,7 +97,8 @@ class VoxelField(HeldOnDevice):
         weights: (rows,) float32 Warp array or None.
         refined_cameras: RefinedCameras of the fit's pictures, where it refined them; None otherwise. Files of fields
             hold them, but for those of svox2.
-        stored: The VoxelGrid as frames read it: that of `grid`, whose `sh` may be left out for `halves`.
+        stored: The VoxelGrid as frames read it: that of `grid`, where `links` and `skip` may be left out, and `sh` for
+            `halves`.
         marching: Tables of it that ray marching reads.
     """
 
@@ -133,7 +134,9 @@ class VoxelField(HeldOnDevice):
 
         with device_turn(self.device):
             self.stored = self._filled_grid(links, density, sh, weights)
-        self.marching = MarchTables(self.stored)
+            self.marching = MarchTables(self.stored)
+            if self.device.is_cuda and not isinstance(links, wp.array):
+                self.marching.drop_links()
 
     def _filled_grid(self, links: Any, density: Any, sh: Any, weights: Any) -> Any:
         """The VoxelGrid of the arrays that the constructor was given; their weights go to `weights`."""
@@ -159,12 +162,36 @@ class VoxelField(HeldOnDevice):
         """The VoxelGrid that kernels take; positions in it are relative to `center`.
 
         Its arrays may be written to at any time, except the links. `skip` (nx-1, ny-1, nz-1) is the distance, in cells,
-        of each cell from the nearest one whose nodes have rows: rays skip that many. On CUDA harmonics of a file are
-        held as its half floats until this is asked for, and as float32 from then on.
+        of each cell from the nearest one whose nodes have rows: rays skip that many. On CUDA fields of files have
+        neither until this is asked for, and harmonics as the file's half floats; from then on float32.
         """
         if self.stored.halves is not None:
             widen_harmonics(self.stored)
+        return self.linked_grid()
+
+    @in_turn
+    def linked_grid(self) -> Any:
+        """The VoxelGrid as frames read it, with its links and `skip`."""
+        self.marching.restore_links()
         return self.stored
+
+    @in_turn
+    def host_links(self, step: int = 1) -> np.ndarray:
+        """The row of each voxel, on the host.
+
+        Args:
+            step: How many voxels along each axis to take one of.
+
+        Returns:
+            (nx, ny, nz) int32 rows, -1 for voxels without one; fewer for a step of more than 1.
+        """
+        links: np.ndarray = self._links()[::step, ::step, ::step].numpy()
+        return links
+
+    def _links(self) -> wp.array:
+        """(nx, ny, nz) int32 row of each voxel, or -1, on the device: a new array where frames do without."""
+        links = self.stored.links
+        return self.marching.columns.links() if links is None else links
 
     @classmethod
     def from_dense(
@@ -255,7 +282,8 @@ class VoxelField(HeldOnDevice):
             raise InputError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
         rgb = empty_array(x.shape[0], wp.vec3, self.device)
         density = empty_array(x.shape[0], wp.float32, self.device)
-        launch(sample_field, x.shape[0], [self.stored, wp.vec3(*origin), x, d], [rgb, density], device=self.device)
+        inputs = [self.linked_grid(), wp.vec3(*origin), x, d]
+        launch(sample_field, x.shape[0], inputs, [rgb, density], device=self.device)
         if is_device_array(points) or is_device_array(directions):
             require_finite(("points", x), ("directions", d))
         return as_given(rgb, given), as_given(density, given)
@@ -396,7 +424,7 @@ class VoxelField(HeldOnDevice):
     @in_turn
     def _dense(self, rows: wp.array) -> np.ndarray:
         """(nx, ny, nz) float32 values of the voxels, zero where there is no row."""
-        links = self.stored.links.numpy()
+        links = self.host_links()
         if not rows.size:
             return np.zeros(links.shape, np.float32)
         return np.where(links >= 0, rows.numpy()[np.maximum(links, 0)], np.float32(0))
@@ -482,7 +510,7 @@ class VoxelField(HeldOnDevice):
         model = self.background_model
         return FieldContents(
             bounds=self.bounds,
-            links=self.stored.links.numpy(),
+            links=self.host_links(),
             density=self.stored.density.numpy(),
             sh=harmonics_on_host(stored_harmonics(self.stored)),
             weights=None if self.weights is None else self.weights.numpy(),
@@ -509,7 +537,7 @@ class VoxelField(HeldOnDevice):
             return self
         grid, sh = self.stored, stored_harmonics(self.stored)
         moved = VoxelField(
-            self.bounds, grid.links, grid.density, sh, weights=self.weights, device=device, **self.view_options()
+            self.bounds, self._links(), grid.density, sh, weights=self.weights, device=device, **self.view_options()
         )
         moved.refined_cameras = self.refined_cameras
         return moved

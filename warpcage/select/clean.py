@@ -71,7 +71,7 @@ def clean_voxels(field: VoxelField, options: CleanOptions) -> Cleaned:
     """A field of voxels cleaned by the options; refused where no visible voxel would be left."""
     from scipy.ndimage import binary_dilation
 
-    cube, links = np.ones((3, 3, 3), bool), field.stored.links.numpy()
+    cube, links = np.ones((3, 3, 3), bool), field.host_links()
     seen, linked = visible_mask(field), links >= 0
     loose, count = detached_nodes(seen, options)
     # with what fades around them, but not what fades around what stays
@@ -143,7 +143,7 @@ def voxel_weights(field: VoxelField, camera: Camera) -> np.ndarray:
     weights = wp.zeros(field.voxel_count, dtype=wp.float32, device=field.device)
     with device_turn(field.device):
         cameras = wp.array([camera_struct(camera, field.center)], dtype=PinholeCamera, device=field.device)
-        inputs = [cameras, 1, None, field.stored, field.step, STOP_TRANSMITTANCE]
+        inputs = [cameras, 1, None, field.linked_grid(), field.step, STOP_TRANSMITTANCE]
         count = camera.width * camera.height
         launch(record_weights, count, inputs, [weights, None], device=field.device, threads=1, work=RAY_WORK)
         return weights.numpy()
@@ -151,7 +151,7 @@ def voxel_weights(field: VoxelField, camera: Camera) -> np.ndarray:
 
 def without_voxels(field: VoxelField, gone: np.ndarray) -> VoxelField:
     """A field without the voxels of a mask (nx, ny, nz) bool, in the same box."""
-    links = field.stored.links.numpy()
+    links = field.host_links()
     kept = (links >= 0) & ~gone
     rows, new = links[kept], np.full(links.shape, -1, np.int32)
     new[kept] = np.arange(len(rows), dtype=np.int32)

@@ -46,8 +46,8 @@ def cut_out(field: VoxelField, mask: np.ndarray) -> VoxelField:
 
     if not mask.any():
         raise InputError("nothing is chosen that could be cut out")
-    links = field.stored.links.numpy()
-    grown = np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool)))
+    links = field.host_links()
+    grown = np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool)), bool)
     ends = [np.flatnonzero(grown.any(axis=others))[[0, -1]] + (0, 1) for others in ((1, 2), (0, 2), (0, 1))]
     block = tuple(slice(*each) for each in ends)
     links, mask = links[block], mask[block]
@@ -86,10 +86,10 @@ def painted_voxels(field: VoxelField, mask: np.ndarray) -> VoxelField:
     """A field of the same matter before black, white in the voxels of a mask (nx, ny, nz) bool and black elsewhere."""
     from scipy.ndimage import binary_dilation
 
-    links = field.stored.links.numpy()
+    links = field.host_links()
     rows = np.zeros(field.voxel_count, bool)
     # a surface lies between voxels that are chosen and empty ones, which are the chosen matter's rim
-    rim = links[np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool))) & (links >= 0)]
+    rim = links[np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool)), bool) & (links >= 0)]
     rows[rim] = field.stored.density.numpy()[rim] * field.voxel_size.max() < RIM_DEPTH
     rows[links[mask & (links >= 0)]] = True
     shown = np.zeros((field.voxel_count, 9, 3), np.float32)
@@ -195,17 +195,16 @@ def visible_nodes(field: DensityField, threshold: float | None = None) -> np.nda
 def some_visible_nodes(field: DensityField, count: int = 20_000) -> np.ndarray:
     """About so many of the nodes of a field that can be seen, evenly over it, (n, 3) float64, world units.
     The same for the same field, without a look at all of its nodes."""
-    grid = getattr(field, "stored", None)
-    if grid is None:
+    if not isinstance(field, VoxelField):
         points = visible_nodes(field)
     else:
         # a node in each block of so many along each axis; of grids of a few million nodes, all
-        step = max(1, int(max(grid.links.shape) / SAMPLED_SIDE))
-        links = grid.links[::step, ::step, ::step].numpy()
+        step = max(1, int(max(field.resolution) / SAMPLED_SIDE))
+        links = field.host_links(step)
         cells = np.argwhere(links >= 0)
         rows = links[tuple(cells.T)]
-        weights = getattr(field, "weights", None)
-        densities = grid.density.numpy()[rows]
+        weights = field.weights
+        densities = field.stored.density.numpy()[rows]
         if not np.isfinite(densities).all():
             raise InputError("a field with densities that are not finite has no visible nodes")
         seen = _visible(densities, None if weights is None else weights.numpy()[rows], field.voxel_size)
@@ -237,8 +236,7 @@ def _occupancy(field: DensityField) -> str:
     if of_splats is not None:
         return of_splats.digest
     whole = root_field(field)
-    grid = getattr(whole, "stored", None)
-    return occupancy_digest(whole.node_densities() > 0.0 if grid is None else grid.links.numpy() >= 0)
+    return occupancy_digest(whole.host_links() >= 0 if isinstance(whole, VoxelField) else whole.node_densities() > 0.0)
 
 
 def root_field(field: DensityField) -> DensityField:

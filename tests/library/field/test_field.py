@@ -9,7 +9,7 @@ from refusals import refused
 
 import warpcage
 from warpcage.core import launch
-from warpcage.field import harmonics_on_device
+from warpcage.field import harmonics_on_device, harmonics_on_host
 from warpcage.kernels.field import harmonics as spherical_harmonics
 from warpcage.kernels.field import refine
 
@@ -61,7 +61,7 @@ def test_harmonics_of_files_are_the_same_as_halves_and_as_single(numbers, device
     made, _, _ = oracle.random_field(device, numbers=numbers)
     made.save(tmp_path / "made.npz")
     field = warpcage.VoxelField.load(tmp_path / "made.npz", device=device)
-    assert (field.stored.halves is None) == field.device.is_cpu
+    assert (field.stored.halves is None) == (field.stored.links is not None) == field.device.is_cpu
     random = np.random.default_rng(5)
     points, along = random.uniform(*field.bounds, (2000, 3)), directions_of(2000)
     camera = warpcage.Camera.look_at(field.center + 4.0, field.center, fov_degrees=20, width=32, height=32)
@@ -89,6 +89,24 @@ def test_harmonics_of_files_are_the_same_as_halves_and_as_single(numbers, device
     for name in archives[0].files:
         for archive in archives[1:]:
             np.testing.assert_array_equal(archive[name], archives[0][name])
+
+
+def test_links_come_back_from_rows_as_bits(device):
+    """Rows in any order, and such as several nodes share."""
+    field, _, _ = oracle.random_field(device, resolution=(6, 35, 64), keep=0.4)
+    links = field.grid.links.numpy()
+    links[links >= 0] = np.random.default_rng(2).permutation(field.voxel_count)
+    links[3, :, 7] = 5
+    values = field.grid.density.numpy(), harmonics_on_host(field.grid.sh)
+    whole = warpcage.VoxelField(field.bounds, wp.array(links, device=device), *values, device=device)
+    skip = whole.grid.skip.numpy()
+    whole.marching.drop_links()
+    assert whole.stored.links is None and whole.stored.skip is None
+    np.testing.assert_array_equal(whole.host_links(), links)
+    np.testing.assert_array_equal(whole.host_links(3), links[::3, ::3, ::3])
+    assert whole.stored.links is None
+    np.testing.assert_array_equal(whole.grid.links.numpy(), links)
+    np.testing.assert_array_equal(whole.grid.skip.numpy(), skip)
 
 
 @oracle.both_kinds

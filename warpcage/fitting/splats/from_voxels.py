@@ -54,7 +54,7 @@ def to_splats(field: VoxelField, *, most: int = 200_000, seed: int = 0) -> Splat
     """
     require_type(field, VoxelField, "to_splats needs")
     most, random = checked_whole(most, "most", 1), np.random.default_rng(checked_whole(seed, "the seed", 0))
-    links = field.stored.links.numpy()
+    links = field.host_links()
     side = float(np.prod(field.voxel_size) ** (1.0 / 3.0))
     seen = visible_rows(field)
     if field.weights is None:

@@ -476,7 +476,7 @@ def _parts(scene_object: Any) -> list[Any] | None:
     if isinstance(scene_object, VoxelField):
         behind = None if scene_object.background_model is None else scene_object.background_model.contents()
         harmonics = stored_harmonics(scene_object.stored).numpy().astype(np.float32)  # the same on all devices
-        values = attrgetter("bounds", "stored.links", "stored.density")(scene_object)
+        values = scene_object.bounds, scene_object.host_links(), scene_object.stored.density
         return [*values, harmonics, scene_object.background, scene_object.supersampling, behind]
     if isinstance(scene_object, ClosedMesh):
         return [scene_object.vertices, scene_object.faces]
