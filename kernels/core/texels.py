@@ -25,12 +25,13 @@ WRITE_HALVES = """
 WRITE_HALF_TEXEL = FOUR_HALVES + WRITE_HALVES
 
 #: C++ for CUDA that sets r, g, b and a to the trilinear value at (x, y, z) of a texture that is asked by unnormalised
-#: coordinates; texel (i, j, k) is at (i, j, k).
-BLENDED_TEXEL = """
+#: coordinates; texel (i, j, k) is at (i + 0.5, j + 0.5, k + 0.5), and in the second one at (i, j, k).
+BLENDED_TEXEL_MIDDLES = """
     float r, g, b, a;
     asm("tex.3d.v4.f32.f32 {%0, %1, %2, %3}, [%4, {%5, %6, %7, %8}];"
-        : "=f"(r), "=f"(g), "=f"(b), "=f"(a) : "l"(texture), "f"(x + 0.5f), "f"(y + 0.5f), "f"(z + 0.5f), "f"(0.0f));
+        : "=f"(r), "=f"(g), "=f"(b), "=f"(a) : "l"(texture), "f"(x), "f"(y), "f"(z), "f"(0.0f));
 """
+BLENDED_TEXEL = BLENDED_TEXEL_MIDDLES.replace('"f"(x), "f"(y), "f"(z)', '"f"(x + 0.5f), "f"(y + 0.5f), "f"(z + 0.5f)')
 
 
 @wp.func_native(

@@ -146,10 +146,11 @@ class CarriedColors:
             laid = ShadedVolume()
             laid.node_counts = table.columns.node_counts
             laid.cells = wp.vec3(*(float(n - 1) for n in laid.node_counts))
-        if laid.numbers is not table.color_bricks.numbers:
-            laid.numbers = table.color_bricks.numbers
+        bricks = table.color_bricks
+        if laid.numbers is not bricks.numbers:
+            laid.numbers, laid.pages, laid.first_page = bricks.numbers, bricks.pages, bricks.first_page
         if self._device.is_cpu:
-            laid.colors = table.color_bricks.new_colors()
+            laid.colors = bricks.new_colors()
         else:
             self._laid, self._texture = laid, table.color_texture()
             laid.texture, laid.surface = self._texture.cuda_texture, self._texture.cuda_surface

@@ -40,6 +40,7 @@ def written(values, device, kept=True):
     bricks, laid, texture = ColorBricks(COUNTS, every_node(device)), ShadedVolume(), None
     bricks.add(marked(bricks, kept))
     laid.node_counts, laid.numbers = wp.vec3i(*COUNTS), bricks.numbers
+    laid.pages, laid.first_page = bricks.pages, bricks.first_page
     if wp.get_device(device).is_cpu:
         laid.colors = bricks.new_colors()
     else:
@@ -99,7 +100,7 @@ def test_bricks_that_are_not_kept_are_empty(device):
 
 def test_bricks_keep_their_numbers_when_others_are_added(device):
     bricks = ColorBricks(COUNTS, every_node(device))
-    assert bricks.count == 0 and bricks.numbers.shape == (LAYERS, 1, 3, 4)
+    assert bricks.count == 1 and bricks.numbers.shape == (LAYERS, 1, 3, 4)
     one, other = np.zeros((2, LAYERS, 1, 3, 4), bool)
     one[0, 0, 1, 2] = one[1, 0, 0, 0] = True
     other[0, 0, 1, 2] = other[0, 0, 2, 3] = True
@@ -108,8 +109,28 @@ def test_bricks_keep_their_numbers_when_others_are_added(device):
     bricks.add(marked(bricks, other))
     numbers = bricks.numbers.numpy()
     np.testing.assert_array_equal(numbers[one], before[one])
-    np.testing.assert_array_equal(numbers >= 0, one | other)
-    assert sorted(numbers[one | other]) == [0, 1, 2] and bricks.count == 3
+    np.testing.assert_array_equal(numbers > 0, one | other)
+    assert sorted(numbers[one | other]) == [1, 2, 3] and bricks.count == 4
+
+
+def test_pages_lead_to_the_texels_of_bricks(device):
+    """As a GPU reads them: by the bits of 2^23 + x for the page, and of 2^22 + x for where it begins."""
+    bricks = ColorBricks((9, 1200, 3000), every_node(device))
+    random = np.random.default_rng(3)
+    bricks.add(marked(bricks, random.random(bricks.numbers.shape) < 0.3))
+    counts, numbers, pages = bricks.numbers.shape, bricks.numbers.numpy(), bricks.pages.numpy().view(np.uint32)
+    at = random.random((1000, 3)) * (np.array(counts[1:]) * 8)
+    layer, place = random.integers(0, LAYERS, len(at)), (at // 8).astype(np.uint32)
+    bits = (2.0**23 + place).astype(np.float32).view(np.uint32)
+    index = layer.astype(np.uint32) * np.uint32(counts[1]) + bits[:, 0]
+    index = (index * np.uint32(counts[2]) + bits[:, 1]) * np.uint32(counts[3]) + bits[:, 2]
+    page = pages.reshape(-1, 2)[index - np.uint32(bricks.first_page)]
+    halves = np.stack([page[:, 0] & 0xFFFF, page[:, 0] >> 16, page[:, 1]], axis=1)
+    floats = (halves | np.uint32(0x4A800000)).view(np.float32)
+    begins = floats - np.float32(2**22 + 2**14) - 0.5 + 8.0 * place[:, ::-1]
+    number = numbers[(layer, *place.T)]
+    assert 100 < (number > 0).sum() < 900
+    np.testing.assert_array_equal(begins, 9 * np.stack([number % 32, number // 32 % 32, number // 1024], axis=1))
 
 
 @pytest.mark.parametrize("count", [1, 31, 32, 33, 1023, 1024, 5000])
@@ -126,7 +147,7 @@ def test_colors_take_memory_where_rows_are(device):
     links = np.full((64, 64, 64), -1, np.int32)
     links[:, 21, :] = np.arange(64 * 64).reshape(64, 64)
     table = ColumnTable(wp.array(links, device=device))
-    assert table.color_bricks.most_bytes == texture_bytes(LAYERS * 8 * 8)
+    assert table.color_bricks.most_bytes == texture_bytes(1 + LAYERS * 8 * 8)
     assert texture_bytes(10**7) == np.inf
 
 
@@ -138,7 +159,7 @@ def test_a_field_keeps_one_texture_and_it_begins_empty(device):
     bricks.add(marked(bricks, True))
     texture = table.color_texture()
     shape = texture.depth, texture.height, texture.width
-    assert shape == (9, 9, 9 * LAYERS * 2)
+    assert shape == (9, 9, 9 * (1 + LAYERS * 2))
     numbers = wp.empty(shape, dtype=wp.vec4h, device=device)
     texture.copy_to(numbers)
     assert not numbers.numpy().any()
@@ -157,7 +178,7 @@ def test_fields_of_several_deformers_keep_one_texture(device, monkeypatch):
     for deformer in (*deformers, *deformers):
         frames.append(deformer.render(view()).rgb.copy())
         counts.append(bricks.count)
-    assert 0 < counts[0] < counts[1] and counts[1:] == [counts[1]] * 3
+    assert 1 < counts[0] < counts[1] and counts[1:] == [counts[1]] * 3
     assert texture_bytes(bricks.count) <= bricks.most_bytes
     np.testing.assert_array_equal(frames[0], frames[2])
     np.testing.assert_array_equal(frames[1], frames[3])
