@@ -109,7 +109,8 @@ class PoseGraph:
 
     def _make_room(self) -> None:
         """Make room for the current pose, and keep that of earlier ones: alternating poses fit the same graph."""
-        self._room = self._solver.sizes.roomier(self._room)
+        solver = self._solver
+        self._room = solver.sizes.roomier(solver.lattice.most_sizes(solver.nodes.level_count), self._room)
 
     def capture(self) -> None:
         self._make_room()

@@ -136,6 +136,9 @@ MIN_RESOLUTION, MAX_RESOLUTION = 8, 1024
 #: edges and vertices of boxes and other regular cages do not fall on lattice lines.
 MARGIN = (1.0 + math.sqrt(2), 1.0 + math.sqrt(3), math.sqrt(5))
 
+#: Nodes along the longest side of a lattice beside its resolution, at most: both margins, rounded up.
+MOST_MARGIN = 8
+
 #: Crossings kept for a line at first; lines that need more make all of them longer.
 LINE_CAPACITY = 8
 
@@ -272,6 +275,11 @@ class CageLattice(HeldOnDevice):
     def sizes(self, level_count: int) -> PoseSizes:
         """The sizes of launches over this pose on so many levels, without sections: nodes are not listed yet."""
         return pose_sizes(self.layout, level_count, self.block_faces.group_side)
+
+    def most_sizes(self, level_count: int) -> PoseSizes:
+        """The same over a pose as long along all axes: hardly any pose has more, whatever its proportions."""
+        layout = level_layout((self.resolution + MOST_MARGIN,) * 3, self.level_count)
+        return pose_sizes(layout, level_count, self.block_faces.group_side)
 
     def launch_geometry(self, sizes: PoseSizes) -> None:
         """Launch what finds crossings and signed distances, the constants being sent; sizes: of the pose, or bounds."""

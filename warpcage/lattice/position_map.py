@@ -334,8 +334,9 @@ class PositionMap(HeldOnDevice):
             gaps: Whether to add the most that the tables of narrow gaps may take, where they go all over the cage.
 
         Returns:
-            Bytes, somewhat more than are taken. On CUDA the graphs that later poses replay have room for up to twice as
-            much (lattices of less than four million nodes), or an eighth more.
+            Bytes, somewhat more than are taken. On CUDA the graphs that later poses replay have room for poses of any
+            proportions (lattices of less than four million nodes: up to four times as much, and no more than for a
+            cube), or an eighth more.
 
         Raises:
             ValueError: For a cage too far from `origin`.

@@ -8,15 +8,21 @@ import numpy as np
 
 from ..kernels.lattice.nodes import RINGS
 
-#: Room that launches have over the current pose, as a share of it, so that they serve other poses of the same cage as
-#: well: of lattices with fewer nodes than FINE_NODES, whose buffers are small and whose idle threads take no time, room
-#: for most poses that are not a stretch of the whole; else for those that differ by little.
-FINE_NODES, WIDE_ROOM, NARROW_ROOM = 1 << 22, 1.0, 0.125
+#: Lattices with fewer nodes have small buffers, and idle threads of their launches take no time.
+FINE_NODES = 1 << 22
 
 
-def room_share(nodes: int) -> float:
-    """Room over the sizes of the current pose, as a share."""
-    return WIDE_ROOM if nodes < FINE_NODES else NARROW_ROOM
+@dataclass(frozen=True)
+class RoomShares:
+    """Room that launches and lists have over the current pose, as shares of it: they serve other poses as well."""
+
+    nodes: float  # of all nodes, up to those of a cube: a rod has four times as many once it is turned by 45 degrees
+    inside: float  # of those in the cage
+    surface: float  # of those at the cage
+
+
+#: Room for poses of about the same size, and for most poses.
+NARROW_ROOM, WIDE_ROOM = RoomShares(0.125, 0.125, 0.125), RoomShares(3.0, 1.5, 0.75)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +85,15 @@ class NodeSections:
         """Whether no section is longer than that of `room`."""
         return bool((self.lengths <= room.lengths).all())
 
-    def roomier(self, share: float = NARROW_ROOM) -> NodeSections:
+    def roomier(self, room: RoomShares = NARROW_ROOM) -> NodeSections:
         """Lengths for launches and lists that serve other poses of the same cage as well."""
-        return NodeSections(self.lengths + (share * self.lengths).astype(np.int64) + 32)
+        shares = np.full(len(self.lengths), room.surface)
+        shares[: 2 * self.level_count] = room.inside
+        lengths = self.lengths + (shares * self.lengths).astype(np.int64) + 32
+        # faces along the axes have rings 1 and 2 at their edges alone; once they are turned, as many nodes as in ring 0
+        rings = lengths[-int(RINGS) :]
+        rings[:] = np.maximum(rings, rings[0])
+        return NodeSections(lengths)
 
     def larger(self, other: NodeSections) -> NodeSections:
         """The larger of two lengths of each section."""
@@ -118,11 +130,15 @@ class PoseSizes:
         """Whether launches of `room` do for these sizes; of lists only the device knows."""
         return all(own <= other for own, other in zip(self._counts(), room._counts(), strict=True))
 
-    def roomier(self, held: PoseSizes | None = None) -> PoseSizes:
-        """Bounds with somewhat more room, and no less than `held` has: poses that take turns fit them."""
-        share = room_share(self.nodes)
-        counts = [count + int(share * count) for count in self._counts()]
-        sections = self.lists.roomier(share)
+    def roomier(self, most: PoseSizes, held: PoseSizes | None = None) -> PoseSizes:
+        """Bounds with more room, and no less than `held` has: poses that take turns fit them.
+        most: sizes that hardly any pose has more than, without sections."""
+        room = NARROW_ROOM if self.nodes >= FINE_NODES else WIDE_ROOM
+        counts = [
+            max(count, min(count + int(room.nodes * count), top))
+            for count, top in zip(self._counts(), most._counts(), strict=True)
+        ]
+        sections = self.lists.roomier(room)
         if held is not None:
             counts = [max(pair) for pair in zip(counts, held._counts(), strict=True)]
             sections = sections.larger(held.lists)

@@ -198,19 +198,26 @@ def test_poses_that_take_turns_share_a_graph(device, monkeypatch):
         assert captures == []
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_no_pose_waits_for_a_graph_once_maps_are_warm(kind, device, monkeypatch):
-    """From the first pose on, whatever its proportions, with the outcome of poses without graphs. Lines of the first
-    pose cross the cage more often than they have room for without graphs."""
-    monkeypatch.setattr(lattices, "LINE_CAPACITY", 2)
+def ball_poses():
+    """Lines of the first pose cross the cage more often than they have room for without graphs."""
     rest = cage_named("icosphere")
-    poses = [
-        rest.stretch(1.8, axis="x").bend(150, axis="x", towards="z"),
-        rest.scale((1, 1.3, 0.6)),
-        rest.scale((1, 0.6, 0.7)),
-        rest.twist(60),
-        rest,
-    ]
+    bent = rest.stretch(1.8, axis="x").bend(150, axis="x", towards="z")
+    return rest, [bent, rest.scale((1, 1.3, 0.6)), rest.scale((1, 0.6, 0.7)), rest.twist(60), rest]
+
+
+def rod_poses():
+    """Once turned the rod has a lattice of twice the nodes and more, and four times as many at cells' corners alone."""
+    rest = Cage.box((-0.3, -0.3, -1), (0.3, 0.3, 1), segments=3)
+    turned = rest.rotate(45, axis="x")
+    return rest, [turned, turned.bend(20), rest.rotate(45, axis="z"), rest.rotate(30, axis="y").twist(20), rest]
+
+
+@pytest.mark.parametrize("scene", [ball_poses, rod_poses])
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_pose_waits_for_a_graph_once_maps_are_warm(kind, scene, device, monkeypatch):
+    """From the first pose on, whatever its proportions, with the outcome of poses without graphs."""
+    monkeypatch.setattr(lattices, "LINE_CAPACITY", 2)
+    rest, poses = scene()
     options = {"coordinates": kind, "resolution": 24, "device": device}
     expected, _ = fresh_maps(rest, poses, monkeypatch, **options)
     assert PositionMap(rest, **options).warm().lattice is None  # nothing to be done without graphs
