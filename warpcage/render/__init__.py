@@ -8,7 +8,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "launch": "FrameLauncher FrameTables FrameTarget load_pose_modules render_modules",
         "plan": "FrameFacts FramePlan PlannedEdit plan_frame",
         "shading": "CarriedColors",
-        "tables": "FineCells",
+        "tables": "CellBuffers FineCells",
         "tile_order": "BalancedTiles",
     },
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -16,7 +17,7 @@ from ..kernels.edits.cell_tables import join_cell_tables, join_nodes
 from ..kernels.edits.fine_cells import FINE_COUNT, FINE_SIDE, FINE_UINTS, mark_fine_cells, spread_fine_cells
 from ..kernels.edits.nodes import CELL_VEC4S, expand_map_cells
 from ..kernels.edits.structs import CELL_OUTSIDE, EditData
-from ..lattice.buffers import Buffer, BufferPool, SideStream
+from ..lattice.buffers import Buffer, BufferPool, SideStream, StreamOrder
 from .plan import FramePlan
 
 #: Cells narrower than this, in voxels, are not divided: fine cells would be smaller than what they skip.
@@ -29,24 +30,55 @@ FINE_BITS = int(FINE_SIDE).bit_length() - 1
 MAX_NODES = (1 << 31) // int(FINE_COUNT) - 64
 
 
+#: Those of each CUDA device, while tables use them.
+_shared_buffers: weakref.WeakValueDictionary[int, CellBuffers] = weakref.WeakValueDictionary()
+
+
+class CellBuffers:
+    """Buffers for the largest tables of edits' cells. Tables take turns: those of the scene that was drawn last have
+    them, and others are filled again, in less than a millisecond."""
+
+    def __init__(self, device: wp.Device):
+        self._pool, self._order = BufferPool(device), StreamOrder(device)
+        self._buffers: dict[tuple[type, int], Buffer] = {}
+        self._user: weakref.ref[EditTables] | None = None
+
+    @staticmethod
+    def of(device: wp.Device) -> CellBuffers:
+        """Those of a CUDA device; new ones on a CPU, where threads draw their scenes at once."""
+        return CellBuffers(device) if device.is_cpu else _shared_buffers.setdefault(device.ordinal, CellBuffers(device))
+
+    def give(self, user: EditTables) -> None:
+        """Let tables have the buffers, behind what was launched for those that had them, which lose theirs."""
+        self._order.follow()
+        last = None if self._user is None else self._user()
+        if last is not user:
+            if last is not None:
+                last.lose_cells()
+            self._user = weakref.ref(user)
+
+    def take(self, dtype: type, number: int, count: int) -> wp.array:
+        """(count,) items of a type for the edit of a number; see `Buffer.take`."""
+        key = dtype, number
+        if key not in self._buffers:
+            self._buffers[key] = self._pool.buffer(dtype)
+        return self._buffers[key].take(count)
+
+
 class FineCells:
     """Which fine cells of posed lattices may be skipped, found on the stream `side`."""
 
-    def __init__(self, edit_count: int, side: SideStream):
-        device = side.device
-        self._device, self._lanes = device, lane_count(device)
-        pool = BufferPool(device)
-        self._fine_looks = [pool.buffer(wp.uint32) for _ in range(edit_count)]
-        self._looks = [pool.buffer(wp.uint64) for _ in range(edit_count)]
-        self._side, self._launch = side, RecordedLaunches(device)
+    def __init__(self, buffers: CellBuffers, side: SideStream):
+        self._device, self._lanes = side.device, lane_count(side.device)
+        self._buffers, self._side, self._launch = buffers, side, RecordedLaunches(side.device)
 
     def begin(self, edits: Sequence[Any], grid: Any, step: float) -> None:
         """Divide the marked cells of posed EditData into fine cells, on the side stream.
         step: the longest of a march, world units."""
-        width = max(grid.voxel_size)
+        width, take = max(grid.voxel_size), self._buffers.take
         held = [
-            (edit, fine_looks.take(int(FINE_UINTS) * edit.look.size), looks.take(edit.look.size))
-            for edit, fine_looks, looks in zip(edits, self._fine_looks, self._looks, strict=True)
+            (edit, take(wp.uint32, number, int(FINE_UINTS) * edit.look.size), take(wp.uint64, number, edit.look.size))
+            for number, edit in enumerate(edits)
             if edit.spacing >= MIN_VOXELS * width and edit.look.size <= MAX_NODES
         ]
         self._side.mark()  # behind the allocations, and the tables of cells
@@ -87,14 +119,19 @@ def edit_data(edit: Any, look: Buffer, nodes: Buffer) -> Any:
     flat.spacing = 1.0 / edit.deformed.inverse_spacing
     flat.node_counts = wp.vec3i(*edit.deformed.distance.shape)
     flat.look, flat.nodes = look.take(node_count), nodes.take(node_count)
-    set_fine_cells(flat, 0, flat.look)
     flat.rest = edit.rest
-    flat.by_nodes = int(not edit.removes)  # until there are polynomials
     flat.tolerance, flat.slack = edit.tolerance, edit.slack
     flat.keeps_source, flat.removes, flat.fragments = edit.keeps_source, edit.removes, edit.fragments
+    leave_out_cells(flat)
     flat.all_outside = int(CELL_OUTSIDE) if edit.removes else 0
     flat.carried_below = -math.inf if edit.removes else 0.0
     return flat
+
+
+def leave_out_cells(flat: Any) -> None:
+    """Let an EditData have no fine cells and polynomials, until there are some."""
+    set_fine_cells(flat, 0, flat.look)
+    flat.polynomials, flat.by_nodes = empty_array(0, wp.vec4, flat.look.device), int(not flat.removes)
 
 
 def set_sides(flat: Any, edit: Any) -> None:
@@ -129,20 +166,19 @@ MAX_POLYNOMIALS = 1 / 16
 class MapPolynomials:
     """The map of each cell of posed lattices as a polynomial."""
 
-    def __init__(self, edit_count: int, device: wp.Device):
+    def __init__(self, buffers: CellBuffers, device: wp.Device):
         self._max_bytes = math.inf if device.is_cpu else MAX_POLYNOMIALS * device.total_memory
-        pool = BufferPool(device)
-        self._polynomials = [pool.buffer(wp.vec4) for _ in range(edit_count)]
-        self._launch = RecordedLaunches(device)
+        self._buffers, self._launch = buffers, RecordedLaunches(device)
 
     def expand(self, edits: Sequence[Any]) -> None:
         """Give posed EditData, whose cells are marked, their `polynomials`, where they map anything and there is
         memory."""
-        for number, (edit, buffer) in enumerate(zip(edits, self._polynomials, strict=True)):
+        for number, edit in enumerate(edits):
             count = int(CELL_VEC4S) * edit.look.size
             size = wp.types.type_size_in_bytes(wp.vec4) * count
             if not edit.removes and count < MAX_ENTRIES and size <= self._max_bytes:
-                inputs, polynomials = [edit.nodes, edit.look, edit.node_counts], buffer.take(count)
+                inputs = [edit.nodes, edit.look, edit.node_counts]
+                polynomials = self._buffers.take(wp.vec4, number, count)
                 self._launch(expand_map_cells, edit.look.size, inputs, [polynomials], number=number)
                 edit.polynomials, edit.by_nodes = polynomials, 0
 
@@ -167,7 +203,8 @@ class EditTables:
         pool = BufferPool(device)
         self._buffers = [(pool.buffer(wp.uint8), pool.buffer(wp.vec4)) for _ in range(edit_count)]
         self._side, self._join = SideStream(device, priority=-1), RecordedLaunches(device)
-        self._fine, self._polynomials = FineCells(edit_count, self._side), MapPolynomials(edit_count, device)
+        cells = self._cells = CellBuffers.of(device)
+        self._fine, self._polynomials = FineCells(cells, self._side), MapPolynomials(cells, device)
 
     def clear(self) -> None:
         """Forget the pose."""
@@ -205,11 +242,21 @@ class EditTables:
     def begin_cells(self, plan: FramePlan, grid: Any, step: float) -> bool:
         """Launch the tables of fine cells and the polynomials of cells, where the march reads them. Returns whether
         they are new: they are ready after `join`. step: the longest of a march, world units."""
-        if self._has_cells or plan.lanes == "tile" or not plan.edits:
+        if plan.lanes == "tile" or not plan.edits:
+            return False
+        self._cells.give(self)
+        if self._has_cells:
             return False
         self._fine.begin(self.edits, grid, step)
         self._polynomials.expand(self.edits)  # on the program's stream, which has less to do meanwhile
         return True
+
+    def lose_cells(self) -> None:
+        """Forget what `begin_cells` launched: other tables have its buffers."""
+        for edit in self.edits:
+            leave_out_cells(edit)
+        self._stack, self._has_cells = None, False
+        self._set_general_maps()
 
     def join(self) -> None:
         """Let what follows wait for the tables that `begin_cells` launched."""

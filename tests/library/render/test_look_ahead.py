@@ -24,7 +24,7 @@ from refusals import refused
 from warpcage import CageEdit, Deformer
 from warpcage.core import devices, recorded_launches
 from warpcage.lattice import PoseGraph
-from warpcage.render import CarriedColors, FineCells
+from warpcage.render import CarriedColors, CellBuffers, FineCells
 from warpcage.render import launch as pose_modules
 from warpcage.render import scene as lattice_edits
 
@@ -132,6 +132,25 @@ def test_a_view_finds_its_tables_there(ahead, kind, device, monkeypatch):
     assert begun == [0, 1, 2, 3, 3]
     deformer.render(camera, step=3 * field.step)  # for which what was looked for does not hold
     assert begun == [0, 1, 2, 3, 3, 3]
+
+
+def test_deformers_that_take_turns_share_the_largest_tables(ahead, device, monkeypatch):
+    """Drawn again, posed both before either is drawn, and once the other is gone: frames are those of each alone."""
+    field, camera = two_balls(device), view(size=32)
+    _, poses = one_cage()
+    made = [functools.partial(Deformer, field, BOX, resolution=resolution) for resolution in (16, 24)]
+    expected = [[make().pose(pose).render(camera) for pose in poses[:2]] for make in made]
+    buffers = CellBuffers(wp.get_device(device))
+    monkeypatch.setattr(CellBuffers, "of", staticmethod(lambda device: buffers))  # on a CPU too
+    coarse, fine = (make().pose(poses[0]) for make in made)
+    for pose in (0, 1):
+        for _ in range(2):
+            assert same_frames(coarse.render(camera), expected[0][pose])
+            assert same_frames(fine.render(camera), expected[1][pose])
+        coarse.pose(poses[1])
+        fine.pose(poses[1])
+    del fine
+    assert same_frames(coarse.render(camera), expected[0][1])
 
 
 def test_fields_that_change_between_a_pose_and_its_view(ahead, device):
