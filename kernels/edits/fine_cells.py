@@ -208,9 +208,11 @@ def fine_flags(grid: VoxelGrid, edit: EditData, step: float, n: int, fine: int, 
             upper += reach
         if (flags & CELL_STAYS) == 0:
             # twice what the distance can change to the corners of the box, as the trilinear one is a little steeper
-            if map_distance(edit.rest, 0.5 * (lower + upper)) < -wp.length(upper - lower):
+            distance = map_distance(edit.rest, 0.5 * (lower + upper))
+            change = wp.length(upper - lower)
+            if distance < -change:
                 flags = flags | CELL_STAYS
-            else:
+            elif distance + change > edit.slack:
                 is_empty = corners_stay(edit, n, low)  # samples that leave the rest cage are looked at, to be counted
     # its image, and where it is: both of those that the posed cage cuts, or with samples that are cut
     place = int(wp.where(is_mapped, 0, 1))

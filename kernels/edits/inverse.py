@@ -13,8 +13,11 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.vec4, wp.vec3), (wp.mat33, wp.vec3))
 
-#: Of Newton's method in a trilinear cell: from its middle, two or three are enough where the cell is not folded.
+#: Of Newton's method in a trilinear cell, at most, and a step, in cells, that is the last one: the next would be about
+#: its square. From the middle two or three are enough where the cell is not folded.
 NEWTON_STEPS = wp.constant(6)
+
+LAST_STEP = wp.constant(1.0e-3)
 
 #: A node counts as in a cell up to this far beyond its faces, and as met up to this far, in cells.
 CELL_MARGIN = wp.constant(1.0e-3)
@@ -85,7 +88,10 @@ def place_in_cell(corners: mat83, target: wp.vec3):
         slope = corner_slope(corners, f)
         if wp.abs(wp.determinant(slope)) < 1.0e-9:
             return forward_only(wp.vec3(1.0e6, 1.0e6, 1.0e6), target)
-        f += wp.inverse(slope) * (target - corner_mean(corners, f))
+        change = wp.inverse(slope) * (target - corner_mean(corners, f))
+        if wp.length_sq(change) < LAST_STEP * LAST_STEP:
+            step = int(NEWTON_STEPS)
+        f += change
         f = wp.max(wp.min(f, wp.vec3(2.0, 2.0, 2.0)), wp.vec3(-1.0, -1.0, -1.0))
     if wp.length(corner_mean(corners, f) - target) > CELL_MARGIN:
         return forward_only(wp.vec3(1.0e6, 1.0e6, 1.0e6), target)
