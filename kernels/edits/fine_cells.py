@@ -35,6 +35,9 @@ FINE_FAR = wp.constant(5)
 #: A fine cell whose image meets more rows of the grid's cells is looked at: it is stretched out of all proportion.
 MAX_ROWS = wp.constant(64)
 
+#: The eight corners of the first fine cell of a cell, in the bits of StayingCorners.
+CORNERS = wp.constant(wp.uint64(0xC6000063))
+
 #: Bytes of 1, and what takes four bits to the lowest of four bytes each.
 BYTES_OF_ONE = wp.constant(wp.uint32(0x01010101))
 
@@ -167,18 +170,46 @@ def fine_bounds(edges: FineEdges, x: float):
 # unrolled.
 
 
+@wp.struct
+class StayingCorners:
+    """Bits of the 5 x 5 x 5 corners of a cell's fine cells that the map leads into the rest cage."""
+
+    low: wp.uint64
+    high: wp.uint64
+
+
 @wp.func
-def corners_stay(edit: EditData, n: int, low: wp.vec3):
-    """Whether the map leads a fine cell's corners into the rest cage, as far as that reaches (EditData.slack)."""
+def staying_corners(edit: EditData, n: int, lane: int):
+    """Of the cell above node n, as far as the rest cage reaches (EditData.slack). All lanes."""
     nz = edit.node_counts[2]
-    stay = bool(True)
-    corner = int(0)
-    while stay and corner < 8:
-        up = wp.vec3(float(corner >> 2), float((corner >> 1) & 1), float(corner & 1))
-        node = node_blend(edit.nodes, n, edit.node_counts[1] * nz, nz, low + FINE_SIZE * up)
-        stay = map_distance(edit.rest, wp.vec3(node[0], node[1], node[2])) <= edit.slack
-        corner += 1
-    return stay
+    result = StayingCorners()
+    half = int(64)
+    begin = int(0)
+    while begin < 2 * half:
+        corner = begin + lane
+        place = FINE_SIZE * wp.vec3(float(corner / 25), float(corner / 5 % 5), float(corner % 5))
+        node = node_blend(edit.nodes, n, edit.node_counts[1] * nz, nz, place)
+        stays = map_distance(edit.rest, wp.vec3(node[0], node[1], node[2])) <= edit.slack
+        marked = wp.uint64(wp.uint32(ballot(wp.where(stays, 1, 0)))) << wp.uint64(begin % half)
+        if begin < half:
+            result.low = result.low | marked
+        else:
+            result.high = result.high | marked
+        begin += lane_count()
+    return result
+
+
+@wp.func
+def corners_stay(corners: StayingCorners, fine: int):
+    """Whether all corners of a fine cell do."""
+    first = wp.uint64((fine >> 4) * 25 + ((fine >> 2) & 3) * 5 + (fine & 3))
+    half = wp.uint64(64)
+    bits = wp.uint64(0)
+    if first < half:
+        bits = (corners.low >> first) | (corners.high << (half - wp.uint64(1) - first) << wp.uint64(1))
+    else:
+        bits = corners.high >> (first - half)
+    return (bits & CORNERS) == CORNERS
 
 
 @wp.func
@@ -188,7 +219,16 @@ def fine_place(fine: int):
 
 
 @wp.func
-def fine_flags(grid: VoxelGrid, edit: EditData, step: float, n: int, fine: int, bounds: FineBounds, cell_flags: int):
+def fine_flags(
+    grid: VoxelGrid,
+    edit: EditData,
+    step: float,
+    n: int,
+    fine: int,
+    bounds: FineBounds,
+    cell_flags: int,
+    corners: StayingCorners,
+):
     """The CELL_... flags of a fine cell of the cell above node n, LOOK_SKIP where it holds nothing. Out of the posed
     cage CELL_STAYS says that all of it is in the rest cage, and cleared."""
     low = fine_place(fine)
@@ -208,12 +248,10 @@ def fine_flags(grid: VoxelGrid, edit: EditData, step: float, n: int, fine: int, 
             upper += reach
         if (flags & CELL_STAYS) == 0:
             # twice what the distance can change to the corners of the box, as the trilinear one is a little steeper
-            distance = map_distance(edit.rest, 0.5 * (lower + upper))
-            change = wp.length(upper - lower)
-            if distance < -change:
+            if map_distance(edit.rest, 0.5 * (lower + upper)) < -wp.length(upper - lower):
                 flags = flags | CELL_STAYS
-            elif distance + change > edit.slack:
-                is_empty = corners_stay(edit, n, low)  # samples that leave the rest cage are looked at, to be counted
+            else:
+                is_empty = corners_stay(corners, fine)  # samples that leave the rest cage are looked at, to be counted
     # its image, and where it is: both of those that the posed cage cuts, or with samples that are cut
     place = int(wp.where(is_mapped, 0, 1))
     last = int(wp.where(edit.removes == 1 or bounds.upper[3] + 2.0 * beyond > edit.tolerance, 1, 0))
@@ -245,6 +283,9 @@ def fine_bits(
     """The fine cells of the cell above node n that a march must look at; `fine_look` keeps their flags. All
     lanes."""
     has_sides = entry_of_sides(edit, n) != 0
+    corners = StayingCorners()
+    if edit.removes == 0 and (cell_flags & CELL_STAYS) == 0:
+        corners = staying_corners(edit, n, lane)
     half = FINE_COUNT / 2
     bits = wp.uint64(0)
     begin = int(0)
@@ -257,7 +298,7 @@ def fine_bits(
         while turn < FINE_COUNT:
             flags = int(cell_flags)
             if not has_sides:  # at a narrow gap of the cage nothing is known of less than a cell
-                flags = fine_flags(grid, edit, step, n, turn + lane, bounds, cell_flags)
+                flags = fine_flags(grid, edit, step, n, turn + lane, bounds, cell_flags, corners)
             if flags < LOOK_SKIP:
                 fine_look[n * FINE_COUNT + turn + lane] = wp.uint8(flags)
             marked = wp.uint32(ballot(wp.where(flags < LOOK_SKIP, 1, 0)))
