@@ -243,7 +243,7 @@ def ask(
         opacity, factor = growth.split_opacity(p[0], 2)
         found[n] = opacity + factor
     elif which == 8:
-        found[n] = inverse.place_in_cell(cube_corners(), p)[0]
+        found[n] = inverse.place_in_cell(inverse.cell_terms(cube_corners()), p)[0]
     elif which == 7:
         pose.put_splats(n, others, p, wp.identity(n=3, dtype=float), carried)
         found[n] = p[0]
