@@ -2,7 +2,8 @@
 
 # A group of lanes is the 32 threads of a warp on CUDA, one thread on a CPU. Kernels for a group take lane_count() items
 # for each piece of work (lane_place). All lanes of a group must reach every function below that says "all lanes".
-# Where there is little to share, octets are enough: eight lanes of a warp, or one thread on a CPU.
+# Where there is little to share, octets are enough: eight lanes of a warp, or one thread on a CPU. The octets of a warp
+# take turns of a loop together, until none has anything left to do (`octets_go_on`).
 
 import warp as wp
 
@@ -85,6 +86,60 @@ def octet_count() -> wp.int32:
     ...
 
 
+@wp.func
+def octet_place(item: int):
+    """The piece of work of an item, its lane in the octet that shares it, and how many lanes there are."""
+    lanes = octet_count()
+    return item / lanes, item % lanes, lanes
+
+
+@wp.func_native(by_device("__any_sync(0xffffffffu, flag)", "flag"))
+def octets_go_on(flag: wp.int32) -> wp.int32:
+    """Whether any lane has a flag. All lanes of the warp."""
+    ...
+
+
+@wp.func_native(by_device("__ballot_sync(0xffffffffu, flag) >> (threadIdx.x & 24u) & 255u", "flag != 0"))
+def octet_ballot(flag: wp.int32) -> wp.int32:
+    """Bit i is set where lane i of the octet has a flag. All lanes of the warp."""
+    ...
+
+
+@forward.func_native(by_device("__shfl_sync(0xffffffffu, value, lane, 8)", "value"))
+def from_octet_lane(value: wp.float32, lane: wp.int32) -> wp.float32:
+    """The value that another lane of the octet holds. All lanes of the warp."""
+    ...
+
+
+@wp.func_native(by_device("__shfl_sync(0xffffffffu, value, lane, 8)", "value"))
+def index_from_octet_lane(value: wp.int32, lane: wp.int32) -> wp.int32:
+    """The whole number that another lane of the octet holds. All lanes of the warp."""
+    ...
+
+
+@wp.func
+def octet_sum_before(value: float, lane: int):
+    """Sum of the values of the octet's lanes before this one. All lanes of the warp."""
+    total = float(value)
+    for i in range(3):
+        other = from_octet_lane(total, wp.max(lane - (1 << i), 0))
+        if lane >= (1 << i):
+            total += other
+    return total - value
+
+
+@wp.func
+def octet_product_before(value: float, lane: int):
+    """Product of the values of the octet's lanes before this one. All lanes of the warp."""
+    total = float(value)
+    for i in range(3):
+        other = from_octet_lane(total, wp.max(lane - (1 << i), 0))
+        if lane >= (1 << i):
+            total *= other
+    before = from_octet_lane(total, wp.max(lane - 1, 0))
+    return wp.where(lane > 0, before, 1.0)
+
+
 @forward.func_native("""
 #if defined(__CUDA_ARCH__)
     for (int reach = 4; reach > 0; reach >>= 1)
@@ -118,18 +173,6 @@ def sum_before(value: float, lane: int):
         if lane >= (1 << i):
             total += other
     return total - value
-
-
-@wp.func
-def product_before(value: float, lane: int):
-    """Product of the values of the lanes before this one. All lanes."""
-    total = float(value)
-    for i in range(5):
-        other = from_lane(total, wp.max(lane - (1 << i), 0))
-        if lane >= (1 << i):
-            total *= other
-    before = from_lane(total, wp.max(lane - 1, 0))
-    return wp.where(lane > 0, before, 1.0)
 
 
 @wp.func

@@ -11,7 +11,15 @@
 import warp as wp
 
 from ..core.gradients import forward, forward_only_in
-from ..core.lanes import ballot, from_lane, grid_place, index_from_lane, product_before, sum_of_lanes
+from ..core.lanes import (
+    from_octet_lane,
+    grid_place,
+    index_from_octet_lane,
+    octet_ballot,
+    octet_product_before,
+    octets_go_on,
+    sum_of_octet,
+)
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .background import BackgroundLayers, layer_value, surface_sample
 from .grid import eight_rows, eight_weights, exit_distance, steps_to_sample
@@ -85,7 +93,7 @@ class OuterSample:
 
 @wp.struct
 class OuterStep:
-    """What one of the lanes that march a piece together finds of their next samples, one a lane."""
+    """What one of the lanes that march a ray together finds of their next samples, one a lane."""
 
     sample: OuterSample
     has_matter: int
@@ -183,6 +191,7 @@ def turn_after(path: OuterPath, last: OuterTurn):
     """The turn that follows in the order in which the ray goes from region to region."""
     turn = OuterTurn()
     turn.region = -1
+    turn.begin = FAR_AWAY  # nothing follows none
     for region in range(6):
         begin = path.begin[region]
         follows = begin > last.begin or (begin == last.begin and region > last.region)
@@ -195,7 +204,7 @@ def turn_after(path: OuterPath, last: OuterTurn):
 
 @wp.func
 def outer_piece(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, turn: OuterTurn):
-    """The piece of a turn."""
+    """The piece of a turn; without samples for none."""
     o = wp.cw_div(origin, outer.half)
     d = wp.cw_div(direction, outer.half)
     per_unit = 0.25 * float(outer.links.shape[0])
@@ -205,7 +214,8 @@ def outer_piece(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, turn: Out
     end = per_unit * (contracted_in(o + turn.end * d, turn.region) + corner) - shift
     length = wp.length(end - begin)
     piece = OuterPiece()
-    piece.count = int(wp.ceil(length / OUTER_STEP))
+    if turn.region >= 0:
+        piece.count = int(wp.ceil(length / OUTER_STEP))
     piece.start = begin
     piece.slope = (end - begin) / float(wp.max(piece.count, 1))
     piece.length = length / float(wp.max(piece.count, 1)) / per_unit
@@ -299,13 +309,22 @@ def shown_color(value: wp.vec4):
 
 
 @wp.func
+def any_goes_on(goes_on: bool, lanes: int):
+    """Whether a march goes on: its own, or that of any octet of the warp where an octet takes a ray."""
+    if lanes > 1:
+        return octets_go_on(int(goes_on)) != 0
+    return goes_on
+
+
+@wp.func
 def outer_step(outer: OuterGrid, piece: OuterPiece, k: int, light: float, lane: int, lanes: int):
-    """The samples from k on of a march to which some light comes. lanes: 1, or all of core/lanes, at one piece."""
+    """The samples from k on of a march. lanes: 1, or an octet at one piece; those of a march that is at its end, or
+    dark, find nothing."""
     step = OuterStep()
     own = k + lane
     g = outer_place(outer, piece, own)
     empty = int(1)
-    if own < piece.count:
+    if own < piece.count and light > OUTER_STOP:
         empty = outer_empty(outer, g)
     step.kept = 1.0
     step.following = k + lanes
@@ -319,12 +338,13 @@ def outer_step(outer: OuterGrid, piece: OuterPiece, k: int, light: float, lane: 
             step.kept = wp.exp(-step.sample.value[3] * piece.length)
     step.before = light
     if lanes > 1:
-        if ballot(1 - wp.min(empty, 1)) == 0:
-            step.following = index_from_lane(after, lanes - 1)
-        step.before = light * product_before(step.kept, lane)
+        last = index_from_octet_lane(after, lanes - 1)
+        if octet_ballot(1 - wp.min(empty, 1)) == 0:
+            step.following = last
+        step.before = light * octet_product_before(step.kept, lane)
         if step.before <= OUTER_STOP:
             step.has_matter = 0
-        step.light = from_lane(step.before * step.kept, lanes - 1)
+        step.light = from_octet_lane(step.before * step.kept, lanes - 1)
     else:
         step.following = after
         step.light = light * step.kept
@@ -334,15 +354,15 @@ def outer_step(outer: OuterGrid, piece: OuterPiece, k: int, light: float, lane: 
 @wp.func
 def march_outer(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: float, end: float, lane: int, lanes: int):
     """Colour before what is behind, and the light that is left, of a ray between two distances, outside the box.
-    lanes: all of core/lanes, at one ray, or 1, which reads `bricks` on a GPU."""
+    lanes: an octet (core/lanes) at one ray, all of its warp at once, or 1, which reads `bricks` on a GPU."""
     color = wp.vec3()
     light = float(1.0)
     path = outer_path(outer, origin, direction, begin, end)
     turn = turn_after(path, turn_before_all())
-    while turn.region >= 0:
+    while any_goes_on(turn.region >= 0, lanes):
         piece = outer_piece(outer, origin, direction, turn)
         k = int(0)
-        while k < piece.count and light > OUTER_STOP:
+        while any_goes_on(k < piece.count and light > OUTER_STOP, lanes):
             if lanes > 1:
                 step = outer_step(outer, piece, k, light, lane, lanes)
                 if step.has_matter > 0:
@@ -364,7 +384,7 @@ def march_outer(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: fl
         turn = turn_after(path, turn)
     if lanes > 1:
         for channel in range(3):
-            color[channel] = sum_of_lanes(color[channel])
+            color[channel] = sum_of_octet(color[channel])
     return forward_only(wp.vec4(color[0], color[1], color[2], light), origin)
 
 
@@ -385,9 +405,9 @@ def sky_color(outer: OuterGrid, direction: wp.vec3):
 
 
 @wp.func
-def outer_color(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: float, lane: int, lanes: int):
-    """What a ray sees from a distance on, the sky included. lanes: as of march_outer."""
-    seen = march_outer(outer, origin, direction, begin, FAR_AWAY, lane, lanes)
+def outer_color(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: float):
+    """What a ray sees from a distance on, the sky included."""
+    seen = march_outer(outer, origin, direction, begin, FAR_AWAY, 0, 1)
     color = wp.vec3(seen[0], seen[1], seen[2])
     if seen[3] > OUTER_STOP:
         color += seen[3] * sky_color(outer, direction)
@@ -404,7 +424,7 @@ def sample_outer(
 ):
     """Colours (n,) along rays from origins (n,) in unit directions (n,), with nothing in the box."""
     n = first + wp.tid()
-    rgb[n] = outer_color(outer, origins[n], directions[n], 0.0, 0, 1)
+    rgb[n] = outer_color(outer, origins[n], directions[n], 0.0)
 
 
 @wp.kernel
@@ -435,7 +455,7 @@ def compose_outer(
         color += left * rgb[n]
         passed = left * (1.0 - alpha[n])
         if passed > OUTER_STOP:
-            color += passed * outer_color(outer, camera.center, direction, between, 0, 1)
+            color += passed * outer_color(outer, camera.center, direction, between)
         rgb[n] = color
         alpha[n] = left * alpha[n]
         light[n] = left

@@ -9,7 +9,7 @@
 import warp as wp
 
 from ..core.gradients import forward, forward_only_in
-from ..core.lanes import from_lane, lane_place, sum_before
+from ..core.lanes import from_octet_lane, octet_place, octet_sum_before
 from ..field.background import layer_value, surface_sample
 from ..field.grid import (
     VoxelGrid,
@@ -26,13 +26,14 @@ from ..field.outer import (
     FAR_AWAY,
     OUTER_STOP,
     OuterGrid,
+    any_goes_on,
     front_end,
     march_outer,
-    outer_color,
     outer_path,
     outer_piece,
     outer_step,
     shown_color,
+    sky_color,
     turn_after,
     turn_before_all,
 )
@@ -50,22 +51,24 @@ def gather_outer(
     first: int, outer: OuterGrid, rays: TrainingRays, front: wp.array(dtype=wp.vec4), behind: wp.array(dtype=wp.vec3)
 ):
     """What is before the box, (rays,) colour and the light that passes, and behind it, (rays,) colour with the sky.
-    A group of lanes (core/lanes) per ray."""
-    n, lane, lanes = lane_place(first + wp.tid())
+    An octet of lanes (core/lanes) per ray, as many items as fill whole warps."""
+    n, lane, lanes = octet_place(first + wp.tid())
     pixel = batch_pixel(rays, n)
-    if in_picture(rays, pixel):
-        camera = rays.cameras[pixel[0]]
-        direction = pixel_direction(camera, pixel[2], pixel[1])
-        between = front_end(outer, camera.center, direction)
-        seen = wp.vec4(0.0, 0.0, 0.0, 1.0)
-        if between > 0.0:
-            seen = march_outer(outer, camera.center, direction, 0.0, between, lane, lanes)
-        color = wp.vec3()
-        if seen[3] > OUTER_STOP:
-            color = outer_color(outer, camera.center, direction, between, lane, lanes)
-        if lane == 0:
-            front[n] = seen
-            behind[n] = color
+    is_ray = n < behind.shape[0] and in_picture(rays, pixel)
+    camera = rays.cameras[pixel[0]]
+    direction = pixel_direction(camera, pixel[2], pixel[1])
+    between = front_end(outer, camera.center, direction)
+    # octets of a warp march together: those with no way left march none of it
+    seen = march_outer(outer, camera.center, direction, 0.0, wp.where(is_ray, between, 0.0), lane, lanes)
+    is_lit = is_ray and seen[3] > OUTER_STOP
+    far = wp.where(is_lit, FAR_AWAY, between)
+    beyond = march_outer(outer, camera.center, direction, between, far, lane, lanes)
+    if lane == 0 and is_ray:
+        color = wp.vec3(beyond[0], beyond[1], beyond[2])
+        if is_lit and beyond[3] > OUTER_STOP:
+            color += beyond[3] * sky_color(outer, direction)
+        front[n] = seen
+        behind[n] = color
 
 
 @forward.func_native("""
@@ -99,23 +102,23 @@ def add_outer_gradient(
     lanes: int,
     grad_values: wp.array(dtype=wp.vec4),
 ):
-    """Adjoint of march_outer; returns the light that is left.
+    """Adjoint of march_outer, all lanes of a warp at once; returns the light that is left.
     total: color . its gradient, and light that is left times its own gradient."""
     later = float(total)
     light = float(1.0)
     path = outer_path(outer, origin, direction, begin, end)
     turn = turn_after(path, turn_before_all())
-    while turn.region >= 0:
+    while any_goes_on(turn.region >= 0, lanes):
         piece = outer_piece(outer, origin, direction, turn)
         k = int(0)
-        while k < piece.count and light > OUTER_STOP:
+        while any_goes_on(k < piece.count and light > OUTER_STOP, lanes):
             step = outer_step(outer, piece, k, light, lane, lanes)
             weight = step.before * (1.0 - step.kept)
             change = wp.dot(shown_color(step.sample.value), grad_color)
             share = float(0.0)
             if step.has_matter > 0:
                 share = weight * change
-            later_own = later - sum_before(share, lane) - share
+            later_own = later - octet_sum_before(share, lane) - share
             if step.has_matter > 0:
                 by_density = piece.length * (step.before * step.kept * change - later_own)
                 gradient = wp.vec4(0.0, 0.0, 0.0, by_density)
@@ -125,7 +128,7 @@ def add_outer_gradient(
                 for corner in range(8):
                     if step.sample.rows[corner] >= 0:
                         add_to_row(grad_values, step.sample.rows[corner], step.sample.weights[corner] * gradient)
-            later = from_lane(later_own, lanes - 1)
+            later = from_octet_lane(later_own, lanes - 1)
             light = step.light
             k = step.following
         turn = turn_after(path, turn)
@@ -152,29 +155,32 @@ def accumulate_outer_gradient(
     grad_values: wp.array(dtype=wp.vec4),
     grad_sky: wp.array2d(dtype=wp.vec4),
 ):
-    """Adds the gradient by the values of the grid (rows,) and of the sky (1, nodes). A group of lanes per ray. front,
+    """Adds the gradient by the values of the grid (rows,) and of the sky (1, nodes). Items as of gather_outer. front,
     behind: (rays,) of gather_outer. What it adds to is shared: on the CPU each thread needs its own."""
     # Of the loss, of by_front * opacity of the front, and of the loss of the sky alone by by_sky (above).
-    n, lane, lanes = lane_place(first + wp.tid())
+    n, lane, lanes = octet_place(first + wp.tid())
     pixel = batch_pixel(rays, n)
-    if not in_picture(rays, pixel):
-        return
+    is_ray = n < behind.shape[0] and in_picture(rays, pixel)
+    n = wp.where(is_ray, n, 0)
     camera = rays.cameras[pixel[0]]
     origin = camera.center
     direction = pixel_direction(camera, pixel[2], pixel[1])
     between = front_end(outer, origin, direction)
     seen = front[n]
-    if between > 0.0 and seen[3] < 1.0:
-        change = grad_front[n] - wp.vec4(0.0, 0.0, 0.0, by_front)
-        by_color = wp.vec3(change[0], change[1], change[2])
-        total = wp.dot(seen, change)
-        add_outer_gradient(outer, origin, direction, 0.0, between, by_color, total, lane, lanes, grad_values)
+    change = grad_front[n] - wp.vec4(0.0, 0.0, 0.0, by_front)
+    by_color = wp.vec3(change[0], change[1], change[2])
+    front_far = wp.where(is_ray and seen[3] < 1.0, between, 0.0)
+    add_outer_gradient(
+        outer, origin, direction, 0.0, front_far, by_color, wp.dot(seen, change), lane, lanes, grad_values
+    )
     grad_color = grad_behind[n]
-    if seen[3] > OUTER_STOP and wp.length_sq(grad_color) > 0.0:
-        by_behind = wp.dot(behind[n], grad_color)
-        light = add_outer_gradient(
-            outer, origin, direction, between, FAR_AWAY, grad_color, by_behind, lane, lanes, grad_values
-        )
+    shows_behind = is_ray and seen[3] > OUTER_STOP and wp.length_sq(grad_color) > 0.0
+    behind_far = wp.where(shows_behind, FAR_AWAY, between)
+    by_behind = wp.dot(behind[n], grad_color)
+    light = add_outer_gradient(
+        outer, origin, direction, between, behind_far, grad_color, by_behind, lane, lanes, grad_values
+    )
+    if shows_behind and lane == 0:
         place = surface_sample(outer.sky.side, direction)
         value = layer_value(outer.sky, 0, place)
         to_pixel = wp.vec3(grad_front[n][0], grad_front[n][1], grad_front[n][2])
@@ -184,9 +190,8 @@ def accumulate_outer_gradient(
             gradient[channel] = follows * (value[channel] - behind[n][channel])
             if light > OUTER_STOP and value[channel] >= 0.0:
                 gradient[channel] += light * grad_color[channel]
-        if lane == 0:
-            for corner in range(4):
-                wp.atomic_add(grad_sky, 0, place.nodes[corner], place.weights[corner] * gradient)
+        for corner in range(4):
+            wp.atomic_add(grad_sky, 0, place.nodes[corner], place.weights[corner] * gradient)
 
 
 @wp.func

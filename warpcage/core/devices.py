@@ -197,6 +197,11 @@ def lane_count(device: wp.DeviceLike) -> int:
     return 1 if wp.get_device(device).is_cpu else 32
 
 
+def octet_items(device: wp.DeviceLike, pieces: int) -> int:
+    """Items of a kernel that gives each piece of work an octet of lanes (kernels/core/lanes), in whole warps."""
+    return pieces if wp.get_device(device).is_cpu else -(-pieces // 4) * 32
+
+
 def module_block_dim(kernel: Kernel) -> int:
     """Threads per block that a kernel's module is meant for: its option block_dim, 256 where it names none."""
     assert isinstance(kernel, wp.Kernel)

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import array_view, empty_array
-from ..core.devices import lane_count, launch
+from ..core.devices import launch, octet_items
 from ..core.names import FIT_BACKGROUNDS, checked_choice
 from ..core.npz import require_numbers
 from ..errors import InputError
@@ -463,7 +463,7 @@ class OuterOptimizer:
     def gather(self, rays: Any, behind: wp.array, front: wp.array | None) -> None:
         """Fill `behind` (rays,) vec3 and `front` (rays,) vec4 with what TrainingRays see around the box."""
         inputs, outputs = [self.outer.grid, rays], [front, behind]
-        launch(outer_loss.gather_outer, lane_count(self.device) * behind.size, inputs, outputs, device=self.device)
+        launch(outer_loss.gather_outer, octet_items(self.device, behind.size), inputs, outputs, device=self.device)
 
     def accumulate(self, rays: Any, random: np.random.Generator) -> None:
         """Add the gradients of the batch, after the field's march, and of the total variation.
@@ -492,7 +492,7 @@ class OuterOptimizer:
         both = [[*grid, *each] for grid, each in zip(grids, skies, strict=True)]
         works = [
             ShardedWork(
-                outer_loss.accumulate_outer_gradient, lane_count(self.device) * self.batch_rays, photometric, both
+                outer_loss.accumulate_outer_gradient, octet_items(self.device, self.batch_rays), photometric, both
             ),
             ShardedWork(accumulate_layer_variation, nodes, sky_variation, skies),
         ]

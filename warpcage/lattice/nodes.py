@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import WarpStruct
-from ..core.devices import lane_count, launch
+from ..core.devices import lane_count, launch, octet_items
 from ..kernels.lattice.cut_rows import CutRows, describe_rows
 from ..kernels.lattice.nodes import RINGS, NodeLevels, classify_columns, list_columns
 from ..kernels.lattice.rings import extend_outwards, extend_through_cage
@@ -116,9 +116,7 @@ def continue_through_cage(
     """Launch the continuation to ring 0 of a map that is linear on the cage's faces (kernels/lattice/rings.py).
     vertex_values: (v,) vec3, at the cage's vertices; values: (nodes,) vec3, at inside nodes, ring 0 is filled in."""
     inputs = [levels, rows, lattice.faces, vertex_values, values]
-    count = sections.ring(0)
-    # an octet of lanes for each node, in whole warps
-    items = count if lattice.device.is_cpu else -(-count // 4) * lane_count(lattice.device)
+    items = octet_items(lattice.device, sections.ring(0))
     launch(extend_through_cage, items, inputs, device=lattice.device)
 
 

@@ -12,7 +12,7 @@ from refusals import refused
 from scenes import room_cameras
 
 import warpcage
-from warpcage.core.devices import lane_count
+from warpcage.core.devices import octet_items
 from warpcage.field import OuterField
 from warpcage.kernels.field.outer import mark_outer_nodes
 from warpcage.kernels.fitting import outer_loss
@@ -111,7 +111,7 @@ def whole_loss(device, by_sky, sky=None):
     count = 144
     front, grad_front = (wp.zeros(count, dtype=wp.vec4, device=device) for _ in range(2))
     behind, grad_behind = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
-    items = lane_count(device) * count
+    items = octet_items(device, count)
     wp.launch(outer_loss.gather_outer, dim=items, inputs=[0, outer.grid, rays], outputs=[front, behind], device=device)
     scale = 1 / (3 * count)
     gradients, _ = photometric_gradient(
