@@ -174,17 +174,19 @@ def bake_nodes(
     grid: VoxelGrid,
     lower: wp.vec3,
     spacing: wp.vec3,
-    nodes: wp.array(dtype=wp.vec3i),
+    shape: wp.vec3i,
+    nodes: wp.array(dtype=wp.int32),
     dt: float,
     arc_opacity: int,
     density: wp.array(dtype=wp.float32),
     sh: wp.array2d(dtype=wp.float32),
 ):
-    """Density (rows,) before the ReLU and harmonics (rows, 24 or 27) of the deformed scene at nodes (rows,).
+    """Density (rows,) before the ReLU and harmonics (rows, 24 or 27) of the deformed scene at nodes (rows,), flat
+    indices in a grid of a shape.
     dt: of the differences, world units; arc_opacity: 1 where optical depth is in canonical arc length."""
     n = first + wp.tid()
-    node = nodes[n]
-    x = lower + wp.cw_mul(spacing, wp.vec3(float(node[0]), float(node[1]), float(node[2])))
+    i, j, k = grid_place(nodes[n], shape[1], shape[2])
+    x = lower + wp.cw_mul(spacing, wp.vec3(float(i), float(j), float(k)))
     here = canonical_point(edits, x)
     cell = cell_sample(grid, grid_position(grid, here.position))
     stretch = float(1.0)

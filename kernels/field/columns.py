@@ -3,8 +3,11 @@
 # A column (i, j) is cut into blocks of 31 nodes, each with the 32 bits of its nodes and the next block's first, and the
 # number of rows before it: nodes k and k + 1 are always in one block. Rows are numbered anew, in memory order.
 
+from typing import Any
+
 import warp as wp
 
+from ..core.lanes import grid_place
 from ..core.variants import native_source
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -62,20 +65,41 @@ def cell_rows(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_
     ...
 
 
+@wp.func_native("""
+    const int width = columns.blocks.shape[1];
+    const int block = k / 31 < width ? k / 31 : width - 1;  // the last block has the last node of all
+    const unsigned* entry = reinterpret_cast<const unsigned*>(columns.blocks.data)
+        + 2 * ((size_t)(i * columns.node_counts.c[1] + j) * width + block);
+    const unsigned bit = 1u << (k - 31 * block), before = entry[0] & (bit - 1u);
+    if (!(entry[0] & bit))
+        return -1;
+#if defined(__CUDA_ARCH__)
+    return (int)entry[1] + __popc(before);
+#else
+    return (int)entry[1] + __builtin_popcount(before);
+#endif
+""")
+def node_row(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> wp.int32:
+    """Row of a node, in memory order, -1 for none."""
+    ...
+
+
 @wp.kernel
 def mark_blocks(
     first: int,
-    links: wp.array3d(dtype=wp.int32),
+    values: wp.array3d(dtype=Any),
+    least: int,
     running_count: wp.array(dtype=wp.int32),
     blocks: wp.array2d(dtype=wp.vec2i),
     nodes: wp.array(dtype=wp.int32),
     order: wp.array(dtype=wp.int32),
 ):
-    """Bits and first row of each block of a column, and the node and the link of each row (rows,); one item per column.
+    """Bits and first row of each block of a column, and the node of each row (rows,); one item per column. Rows are for
+    values from `least` on. order: (rows,) those values, links, or empty.
     running_count: (nx * ny,) rows up to the end of each column; blocks: (nx * ny, blocks of a column)."""
     n = first + wp.tid()
-    i = n // links.shape[1]
-    j = n % links.shape[1]
+    i = n // values.shape[1]
+    j = n % values.shape[1]
     row = int(0)
     if n > 0:
         row = running_count[n - 1]
@@ -84,15 +108,28 @@ def mark_blocks(
         bits = int(0)
         for place in range(BLOCK_NODES + 1):
             k = block * BLOCK_NODES + place
-            if k < links.shape[2]:
-                link = links[i, j, k]
-                if link >= 0:
+            if k < values.shape[2]:
+                value = int(values[i, j, k])
+                if value >= least:
                     bits = bits | (1 << place)
-                    if place < BLOCK_NODES or k == links.shape[2] - 1:
-                        nodes[row] = n * links.shape[2] + k
-                        order[row] = link
+                    if place < BLOCK_NODES or k == values.shape[2] - 1:
+                        nodes[row] = n * values.shape[2] + k
+                        if order.shape[0] > 0:
+                            order[row] = value
                         row += 1
         blocks[n, block] = wp.vec2i(bits, begin)
+
+
+for number in (wp.uint8, wp.int32):
+    wp.overload(mark_blocks, {"values": wp.array3d(dtype=number)})
+
+
+@wp.kernel
+def find_rows(first: int, columns: Columns, nodes: wp.array(dtype=wp.int32), rows: wp.array(dtype=wp.int32)):
+    """Rows of nodes (n,), flat indices; -1 for those without."""
+    n = first + wp.tid()
+    i, j, k = grid_place(nodes[n], columns.node_counts[1], columns.node_counts[2])
+    rows[n] = node_row(columns, i, j, k)
 
 
 @wp.kernel

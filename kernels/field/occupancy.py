@@ -102,6 +102,18 @@ def mark_cells(first: int, links: wp.array3d(dtype=wp.int32), distance: wp.array
 
 
 @wp.kernel
+def mark_column_cells(first: int, columns: Columns, distance: wp.array3d(dtype=wp.uint8)):
+    """As mark_cells, of the rows of a table."""
+    i, j, k = grid_place(first + wp.tid(), distance.shape[1], distance.shape[2])
+    rows = cell_rows(columns, i, j, k)
+    value = int(SKIP_LIMIT)
+    for c in range(8):
+        if rows[c] >= 0:
+            value = int(0)
+    distance[i, j, k] = wp.uint8(value)
+
+
+@wp.kernel
 def mark_matter(
     first: int, columns: Columns, density: wp.array(dtype=wp.float32), distance: wp.array3d(dtype=wp.uint8)
 ):

@@ -22,6 +22,7 @@ from ..core.lanes import (
 )
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .background import BackgroundLayers, layer_value, surface_sample
+from .columns import Columns, cell_rows
 from .grid import eight_rows, eight_weights, exit_distance, steps_to_sample
 from .outer_bricks import ACROSS_BITS, BRICK_CELLS, OuterBricks, brick_value, reads_textures
 
@@ -48,7 +49,7 @@ class OuterGrid:
     """A grid around a box."""
 
     half: wp.vec3  # half sides of the box, world units
-    links: wp.array3d(dtype=wp.int32)  # (n, n, n) row of a node, or -1
+    columns: Columns  # of (n, n, n) nodes, rows in memory order
     skip: wp.array3d(dtype=wp.uint8)  # (n-1, n-1, n-1) cells to the nearest that holds anything, as in field/grid
     values: wp.array(dtype=wp.vec4)  # (rows,) red, green, blue, density per unit of contracted length
     sky: BackgroundLayers  # one layer, at infinity
@@ -207,7 +208,7 @@ def outer_piece(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, turn: Out
     """The piece of a turn; without samples for none."""
     o = wp.cw_div(origin, outer.half)
     d = wp.cw_div(direction, outer.half)
-    per_unit = 0.25 * float(outer.links.shape[0])
+    per_unit = 0.25 * float(outer.columns.node_counts[0])
     corner = wp.vec3(2.0, 2.0, 2.0)
     shift = wp.vec3(0.5, 0.5, 0.5)
     begin = per_unit * (contracted_in(o + turn.begin * d, turn.region) + corner) - shift
@@ -226,7 +227,7 @@ def outer_piece(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, turn: Out
 def outer_place(outer: OuterGrid, piece: OuterPiece, k: int):
     """Node coordinates of a sample, clamped to the last nodes towards infinity."""
     g = piece.start + steps_to_sample(float(k)) * piece.slope
-    top = float(outer.links.shape[0] - 1) - 1.0e-3
+    top = float(outer.columns.node_counts[0] - 1) - 1.0e-3
     return wp.vec3(wp.clamp(g[0], 0.0, top), wp.clamp(g[1], 0.0, top), wp.clamp(g[2], 0.0, top))
 
 
@@ -279,11 +280,11 @@ def outer_sample(outer: OuterGrid, g: wp.vec3):
     j = int(g[1])
     k = int(g[2])
     f = g - wp.vec3(float(i), float(j), float(k))
+    result.rows = cell_rows(outer.columns, i, j, k)
     for c in range(8):
         di = c >> 2
         dj = (c >> 1) & 1
         dk = c & 1
-        result.rows[c] = outer.links[i + di, j + dj, k + dk]
         result.weights[c] = (
             wp.where(di == 1, f[0], 1.0 - f[0])
             * wp.where(dj == 1, f[1], 1.0 - f[1])
@@ -516,16 +517,16 @@ def mark_outer_nodes(
 
 @wp.kernel
 def resample_outer(
-    first: int, coarse: OuterGrid, nodes: wp.array(dtype=wp.vec3i), side: int, values: wp.array(dtype=wp.vec4)
+    first: int, coarse: OuterGrid, nodes: wp.array(dtype=wp.int32), side: int, values: wp.array(dtype=wp.vec4)
 ):
     """Values of the nodes (rows,) of a grid of side^3 from those of another, trilinear among nodes that have rows."""
     row = first + wp.tid()
-    node = nodes[row]
-    ratio = float(coarse.links.shape[0]) / float(side)
-    top = float(coarse.links.shape[0] - 1) - 1.0e-3
-    g = wp.vec3()
+    i, j, k = grid_place(nodes[row], side, side)
+    ratio = float(coarse.columns.node_counts[0]) / float(side)
+    top = float(coarse.columns.node_counts[0] - 1) - 1.0e-3
+    g = ratio * wp.vec3(float(i) + 0.5, float(j) + 0.5, float(k) + 0.5)
     for axis in range(3):
-        g[axis] = wp.clamp((float(node[axis]) + 0.5) * ratio - 0.5, 0.0, top)
+        g[axis] = wp.clamp(g[axis] - 0.5, 0.0, top)
     sample = outer_sample(coarse, g)
     total = float(0.0)
     for c in range(8):

@@ -6,6 +6,7 @@ from ..core.gradients import forward
 from ..core.lanes import grid_place
 from ..core.texels import BLENDED_TEXEL, WRITE_HALF_TEXEL
 from ..core.variants import by_device
+from .columns import Columns, node_row
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -74,11 +75,7 @@ def write_texel(surface: wp.uint64, x: wp.int32, y: wp.int32, z: wp.int32, value
 
 @wp.kernel
 def fill_bricks(
-    first: int,
-    bricks: wp.array(dtype=wp.vec3i),
-    links: wp.array3d(dtype=wp.int32),
-    values: wp.array(dtype=wp.vec4),
-    surface: wp.uint64,
+    first: int, bricks: wp.array(dtype=wp.vec3i), columns: Columns, values: wp.array(dtype=wp.vec4), surface: wp.uint64
 ):
     """Write values of nodes, 0 where there is no row. bricks: (count,) place of each among all. One item a texel."""
     size = BRICK_NODES * BRICK_NODES * BRICK_NODES
@@ -89,8 +86,8 @@ def fill_bricks(
     z = (n % size) // (BRICK_NODES * BRICK_NODES)
     node = BRICK_CELLS * bricks[number] + wp.vec3i(z, y, x)
     value = wp.vec4()
-    if wp.max(node) < links.shape[0]:
-        row = links[node[0], node[1], node[2]]
+    if wp.max(node) < columns.node_counts[0]:
+        row = node_row(columns, node[0], node[1], node[2])
         if row >= 0:
             value = values[row]
     at = brick_texel(number)

@@ -26,23 +26,25 @@ def dilate_mask(first: int, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d
 @wp.kernel
 def mark_weighty_nodes(
     first: int,
-    nodes: wp.array(dtype=wp.vec3i),
+    nodes: wp.array(dtype=wp.int32),
     weights: wp.array(dtype=wp.float32),
     threshold: float,
-    mask: wp.array3d(dtype=wp.uint8),
+    mask: wp.array(dtype=wp.uint8),
 ):
-    """1 at the nodes of rows whose recorded weight reaches a threshold; the rest of `mask` stays."""
+    """1 at the nodes of rows whose recorded weight reaches a threshold; the rest of `mask` stays. nodes: (rows,) flat
+    indices, as all below."""
     row = first + wp.tid()
     if weights[row] >= threshold:
-        mask[nodes[row][0], nodes[row][1], nodes[row][2]] = wp.uint8(1)
+        mask[nodes[row]] = wp.uint8(1)
 
 
 @wp.kernel
-def keep_linked(first: int, links: wp.array3d(dtype=wp.int32), mask: wp.array3d(dtype=wp.uint8)):
-    """Clear `mask` where there is no row: dilation may not bring back what was pruned before."""
-    i, j, k = grid_place(first + wp.tid(), mask.shape[1], mask.shape[2])
-    if links[i, j, k] < 0:
-        mask[i, j, k] = wp.uint8(0)
+def take_nodes(
+    first: int, nodes: wp.array(dtype=wp.int32), source: wp.array(dtype=wp.uint8), mask: wp.array(dtype=wp.uint8)
+):
+    """Copy a mask at the nodes of rows: dilation may not bring back what was pruned before."""
+    row = first + wp.tid()
+    mask[nodes[row]] = source[nodes[row]]
 
 
 @wp.kernel
@@ -80,7 +82,7 @@ def link_nodes(
     mask: wp.array3d(dtype=wp.uint8),
     running_count: wp.array(dtype=wp.int32),
     links: wp.array3d(dtype=wp.int32),
-    nodes: wp.array(dtype=wp.vec3i),
+    nodes: wp.array(dtype=wp.int32),
 ):
     """Number the set nodes in memory order, one item per line. running_count: inclusive scan of the lines' counts.
     Without `links` or without `nodes`, only the other is written."""
@@ -95,7 +97,7 @@ def link_nodes(
         if mask[i, j, k] != wp.uint8(0):
             link = row
             if nodes:
-                nodes[row] = wp.vec3i(i, j, k)
+                nodes[row] = n * mask.shape[2] + k
             row += 1
         if links:
             links[i, j, k] = link
@@ -105,16 +107,19 @@ def link_nodes(
 def resample_rows(
     first: int,
     coarse: VoxelGrid,
-    ratio: wp.vec3,
-    nodes: wp.array(dtype=wp.vec3i),
+    shape: wp.vec3i,
+    nodes: wp.array(dtype=wp.int32),
     density: wp.array(dtype=wp.float32),
     sh: wp.array2d(dtype=wp.float32),
 ):
-    """Values of fine nodes by trilinear interpolation among the coarse nodes that have rows (weights renormalised).
-    ratio: fine voxels per coarse one, along each axis."""
+    """Values of nodes of a grid of a finer shape by trilinear interpolation among the coarse nodes that have rows
+    (weights renormalised)."""
     row = first + wp.tid()
-    node = nodes[row]
-    g = wp.vec3(float(node[0]), float(node[1]), float(node[2])) + wp.vec3(0.5, 0.5, 0.5)
+    x, y, z = grid_place(nodes[row], shape[1], shape[2])
+    g = wp.vec3(float(x), float(y), float(z)) + wp.vec3(0.5, 0.5, 0.5)
+    ratio = wp.vec3()
+    for axis in range(3):
+        ratio[axis] = float(shape[axis]) / float(coarse.links.shape[axis])
     g = wp.cw_div(g, ratio) - wp.vec3(0.5, 0.5, 0.5)
     total = float(0.0)
     value = float(0.0)
@@ -149,20 +154,13 @@ def resample_rows(
 
 
 @wp.kernel
-def gather_rows(
-    first: int,
-    links: wp.array3d(dtype=wp.int32),
-    nodes: wp.array(dtype=wp.vec3i),
-    before: wp.array(dtype=Any),
-    kept: wp.array(dtype=Any),
-):
-    """Values of the nodes (rows,) that stay, from the rows that `links` gave them before. One item per row."""
-    row = first + wp.tid()
-    node = nodes[row]
-    kept[row] = before[links[node[0], node[1], node[2]]]
+def gather_rows(first: int, rows: wp.array(dtype=wp.int32), before: wp.array(dtype=Any), kept: wp.array(dtype=Any)):
+    """Values of the rows (rows,) that stay. rows: which each was before."""
+    n = first + wp.tid()
+    kept[n] = before[rows[n]]
 
 
-for number in (wp.uint8, wp.float32, wp.vec4):
+for number in (wp.uint8, wp.int32, wp.float32, wp.vec4):
     wp.overload(gather_rows, {"before": wp.array(dtype=number), "kept": wp.array(dtype=number)})
 
 

@@ -9,8 +9,9 @@
 import warp as wp
 
 from ..core.gradients import forward, forward_only_in
-from ..core.lanes import from_octet_lane, octet_place, octet_sum_before
+from ..core.lanes import from_octet_lane, grid_place, octet_place, octet_sum_before
 from ..field.background import layer_value, surface_sample
+from ..field.columns import node_row
 from ..field.grid import (
     VoxelGrid,
     cell_density,
@@ -277,7 +278,7 @@ def record_outer_weights(
 def accumulate_outer_variation(
     first: int,
     outer: OuterGrid,
-    nodes: wp.array(dtype=wp.vec3i),
+    nodes: wp.array(dtype=wp.int32),
     first_row: int,
     scale_color: float,
     scale_density: float,
@@ -286,19 +287,20 @@ def accumulate_outer_variation(
     grad_values: wp.array(dtype=wp.vec4),
 ):
     """Adds the gradient of scale_colour * TV(colours) + scale_density * TV(densities). One item per row, from first_row
-    on. nodes: (rows,) grid indices. Neighbours share rows: on the CPU each thread needs grad_values of its own."""
+    on. nodes: (rows,) flat indices. Neighbours share rows: on the CPU each thread needs grad_values of its own."""
     # As in fitting/rmsprop: sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences, zero to nodes without a row; views,
     # by_views too.
     row = (first_row + first + wp.tid()) % nodes.shape[0]
-    node = nodes[row]
+    side = outer.columns.node_counts[0]
+    i, j, k = grid_place(nodes[row], side, side)
     value = outer.values[row]
     rows = wp.vec3i(-1, -1, -1)
     squares = wp.vec4(1.0e-9, 1.0e-9, 1.0e-9, 1.0e-9)
     for axis in range(3):
-        other = node
-        other[axis] = node[axis] + 1
-        if other[axis] < outer.links.shape[0]:
-            rows[axis] = outer.links[other[0], other[1], other[2]]
+        other = wp.vec3i(i, j, k)
+        other[axis] = other[axis] + 1
+        if other[axis] < side:
+            rows[axis] = node_row(outer.columns, other[0], other[1], other[2])
             if rows[axis] >= 0:
                 difference = outer.values[rows[axis]] - value
                 squares += wp.cw_mul(difference, difference)

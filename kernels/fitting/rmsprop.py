@@ -3,8 +3,11 @@
 # v <- beta v + (1 - beta) g^2 (v = g^2 at the first touch, as Plenoxels), x <- x - rate g / (sqrt(v) + eps): Tieleman
 # and Hinton 2012. An item takes four numbers of a row, or its density.
 
+from typing import Any
+
 import warp as wp
 
+from ..core.lanes import grid_place
 from ..field.grid import VoxelGrid
 from ..field.harmonics import DIFFERENCE_BASIS, LUMINANCE_BASIS
 
@@ -128,26 +131,28 @@ def count_marks(first: int, shown: wp.array2d(dtype=wp.uint32), counts: wp.array
 
 
 @wp.kernel
-def gather_moments(
+def gather_numbers(
     first: int,
-    links: wp.array3d(dtype=wp.int32),
-    nodes: wp.array(dtype=wp.vec3i),
-    moments_density: wp.array(dtype=wp.bfloat16),
-    moments_sh: wp.array2d(dtype=four_bfloats),
-    kept_density: wp.array(dtype=wp.bfloat16),
-    kept_sh: wp.array2d(dtype=four_bfloats),
+    rows: wp.array(dtype=wp.int32),
+    density: wp.array(dtype=Any),
+    sh: wp.array2d(dtype=Any),
+    kept_density: wp.array(dtype=Any),
+    kept_sh: wp.array2d(dtype=Any),
 ):
-    """Moments of the nodes (rows,) that stay, from the rows that `links` (nx, ny, nz) gave them before, -1 for none.
-    ROW_PARTS items per row. Moments of densities (rows,), of sh (rows, 6), before and after."""
+    """Numbers of the rows (rows,) that stay, values or moments: of densities (rows,), of sh (rows, 6). ROW_PARTS items
+    per row. rows: which each was before."""
     n = first + wp.tid()
     row = n // ROW_PARTS
     part = n % ROW_PARTS
-    node = nodes[row]
-    before = links[node[0], node[1], node[2]]
     if part == ROW_PARTS - 1:
-        kept_density[row] = moments_density[before]
+        kept_density[row] = density[rows[row]]
     else:
-        kept_sh[row, part] = moments_sh[before, part]
+        kept_sh[row, part] = sh[rows[row], part]
+
+
+for one, four in ((wp.float32, wp.vec4), (wp.bfloat16, four_bfloats)):
+    arrays = {"density": wp.array(dtype=one), "sh": wp.array2d(dtype=four)}
+    wp.overload(gather_numbers, {**arrays, **{f"kept_{name}": each for name, each in arrays.items()}})
 
 
 @wp.kernel
@@ -164,11 +169,12 @@ def shrink_view_dependence(first: int, factor: float, coefficients: wp.array2d(d
 
 
 @wp.func
-def neighbor_row(grid: VoxelGrid, node: wp.vec3i, axis: int):
-    """Row of the next node along an axis, or -1."""
-    i = node[0] + wp.where(axis == 0, 1, 0)
-    j = node[1] + wp.where(axis == 1, 1, 0)
-    k = node[2] + wp.where(axis == 2, 1, 0)
+def neighbor_row(grid: VoxelGrid, node: int, axis: int):
+    """Row of the next node along an axis, or -1. node: flat index."""
+    i, j, k = grid_place(node, grid.links.shape[1], grid.links.shape[2])
+    i += wp.where(axis == 0, 1, 0)
+    j += wp.where(axis == 1, 1, 0)
+    k += wp.where(axis == 2, 1, 0)
     if i < grid.links.shape[0] and j < grid.links.shape[1] and k < grid.links.shape[2]:
         return grid.links[i, j, k]
     return int(-1)
@@ -178,7 +184,7 @@ def neighbor_row(grid: VoxelGrid, node: wp.vec3i, axis: int):
 def accumulate_variation_gradient(
     first: int,
     grid: VoxelGrid,
-    nodes: wp.array(dtype=wp.vec3i),
+    nodes: wp.array(dtype=wp.int32),
     first_row: int,
     density_unit: float,
     scale_density: float,
@@ -190,7 +196,7 @@ def accumulate_variation_gradient(
     touched: wp.array(dtype=wp.uint8),
 ):
     """Adds the gradient of a sum of total variations over a run of rows. GRADIENT_ROW items per row, one per number.
-    nodes: (rows,) grid indices. Rows are shared with neighbours: on the CPU each thread needs gradients of its own."""
+    nodes: (rows,) flat indices. Rows are shared with neighbours: on the CPU each thread needs gradients of its own."""
     # scale_density * TV(density / density_unit), scale_sh * TV(sh) of degrees 0 and 1, scale_high_degree * TV(sh) of 2
     # and 3. Rows from first_row on, then from 0. gradients: (25 rows,) as above. touched: (rows,) set to 1. by_views:
     # (256,) factors on the terms of density and of sh by the number of views (rows,) of a row; empty: 1.

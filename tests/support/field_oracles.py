@@ -255,7 +255,8 @@ def random_outer(device, side=8, keep=0.7, seed=0, center=(0.0, 0.0, 0.0), half=
     )
     values = values.astype(np.float32).astype(np.float64)
     sky = random.random((6 * 3**2 + 2, 3))
-    return OuterField(center, half, links, values, sky=sky, device=device), values
+    # whose rows are in the order of memory
+    return OuterField(center, half, links, values, sky=sky, device=device), values[links[kept]]
 
 
 def interpolate_outer(links, values, places):
@@ -302,7 +303,7 @@ def pieces(outer, origin, direction, begin, end):
 
 def march_outer(outer, values, origin, direction, begin=0.0, end=1e30, samples_per_voxel=2):
     """(colour (3,), light that is left) of a ray's way outside the box."""
-    links, side = outer.grid.links.numpy(), outer.side
+    links, side = outer.contents().links, outer.side
     color, light = np.zeros(3), 1.0
     for start, stop in pieces(outer, origin, direction, begin, end):
         length = np.linalg.norm(stop - start)

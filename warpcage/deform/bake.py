@@ -133,6 +133,7 @@ def _baked(
         field.stored,  # with the links that were asked for above
         wp.vec3(*(lower - field.center)),
         spacing,
+        wp.vec3i(*mask.shape),
         nodes,
         side,
         chosen(deformer.density, "density", opacity=1, paper=0),

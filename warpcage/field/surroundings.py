@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import PointsLike, as_given, as_host_points, empty_array
+from ..core.arrays import PointsLike, WarpStruct, as_given, as_host_points, empty_array
 from ..core.checks import checked_positive, checked_vector
 from ..core.devices import half_texture, launch, resolve_device
 from ..core.modules import Kernel
@@ -23,7 +23,7 @@ from ..kernels.field.outer_bricks import BRICK_CELLS, BRICK_NODES, OuterBricks, 
 from ..view.camera import Camera, camera_struct, tile_threads
 from .bricks import texture_shape
 from .io.field_file import LayerContents, OuterContents, surface_node_count
-from .sparse import measure_skip, values_on_device
+from .sparse import held_nodes, mask_columns, measure_skip
 
 
 def seen_by_rays(
@@ -159,18 +159,19 @@ class OuterField:
         self,
         center: ArrayLike,
         half: ArrayLike,
-        links: np.ndarray | wp.array,
+        links: np.ndarray | WarpStruct,
         values: np.ndarray | wp.array,
         *,
         sky: ArrayLike | wp.array = (1.0, 1.0, 1.0),
         device: wp.DeviceLike = None,
     ):
-        self.device = resolve_device(links.device if device is None and isinstance(links, wp.array) else device)
+        self.device = resolve_device(values.device if device is None and isinstance(values, wp.array) else device)
         self.center = checked_vector(center, "an outer field's center").copy()  # (3,) float64, world units, as `half`
         self.half = checked_vector(half, "an outer field's half sides").copy()
         if not (self.half > 0).all():
             raise InputError(f"an outer field's half sides must be positive, got {self.half.tolist()}")
-        shape = tuple(links.shape)  # row of each voxel or -1
+        # the row of each voxel or -1; or Columns, of rows on this device in the order of memory
+        shape = tuple(links.shape if isinstance(links, np.ndarray) else links.node_counts)
         if len(shape) != 3 or len(set(shape)) != 1 or shape[0] < 4:
             raise InputError(f"an outer field's links must be (n, n, n), n at least 4, got {shape}")
         rows = tuple(values.shape) + ((4,) if isinstance(values, wp.array) else ())  # r, g, b, density; below 0: none
@@ -179,16 +180,16 @@ class OuterField:
         with device_turn(self.device):
             grid = OuterGrid()
             grid.half, grid.sky = wp.vec3(*self.half), sky_layers(sky, self.device)
-            grid.links = values_on_device(links, wp.int32, self.device)
-            if isinstance(values, wp.array):
-                grid.values = values if values.device == self.device else values.to(self.device)
-            else:
+            if isinstance(links, np.ndarray):
                 host = np.ascontiguousarray(values, np.float32)
-                largest = int(np.asarray(links).max(initial=-1)) if isinstance(links, np.ndarray) else -1
-                if not np.isfinite(host).all() or largest >= len(host):
+                if not np.isfinite(host).all() or int(links.max(initial=-1)) >= len(host):
                     raise InputError("an outer field's values must be finite, one row for each that its links name")
-                grid.values = wp.array(host, dtype=wp.vec4, device=self.device)
-            grid.skip = measure_skip(grid.links)
+                held = links >= 0
+                grid.values = wp.array(host[links[held]], dtype=wp.vec4, device=self.device)
+                grid.columns, _ = mask_columns(wp.array(held, dtype=wp.uint8, device=self.device))
+            else:
+                grid.columns, grid.values = links, values
+            grid.skip = measure_skip(grid.columns)
         self.grid = grid  # positions in it are relative to the centre
         self._bricks: list[wp.Texture3D] | None = None  # of `shown_grid`, which holds its handle alone
 
@@ -205,7 +206,7 @@ class OuterField:
     @property
     def side(self) -> int:
         """Voxels along each side of contracted space; half of them stand for the box, and hold nothing."""
-        return self.grid.links.shape[0]
+        return int(self.grid.columns.node_counts[0])
 
     @property
     def voxel_count(self) -> int:
@@ -233,7 +234,10 @@ class OuterField:
     @in_turn
     def contents(self) -> OuterContents:
         """The grid on the host, for a file."""
-        return OuterContents(self.center, self.half, self.grid.links.numpy(), self.grid.values.numpy(), self.sky)
+        links = np.full((self.side,) * 3, -1, np.int32)
+        held = held_nodes(self.grid.columns)
+        links[held] = np.arange(np.count_nonzero(held), dtype=np.int32)
+        return OuterContents(self.center, self.half, links, self.grid.values.numpy(), self.sky)
 
     @property
     def summary(self) -> str:
@@ -266,13 +270,13 @@ class OuterField:
         device = resolve_device(device)
         if device == self.device:
             return self
-        grid = self.grid
-        return OuterField(self.center, self.half, grid.links, grid.values, sky=grid.sky.values, device=device)
+        contents = self.contents()
+        return OuterField(self.center, self.half, contents.links, contents.values, sky=contents.sky, device=device)
 
 
 def _texture_of_bricks(grid: Any) -> list[wp.Texture3D]:
     """The texture of an OuterGrid on CUDA, which gets it; none where it holds nothing."""
-    cells, nodes, device = int(BRICK_CELLS), int(BRICK_NODES), grid.links.device
+    cells, nodes, device = int(BRICK_CELLS), int(BRICK_NODES), grid.values.device
     count = -(-grid.skip.shape[0] // cells)
     marks = wp.zeros((count, count, count), dtype=wp.int32, device=device)
     launch(mark_bricks, grid.skip.size, [grid.skip], [marks], device=device)
@@ -285,7 +289,7 @@ def _texture_of_bricks(grid: Any) -> list[wp.Texture3D]:
         return []
     texture = half_texture(texture_shape(len(places)), device)
     listed = wp.array(places.astype(np.int32), dtype=wp.vec3i, device=device)
-    inputs = [listed, grid.links, grid.values, wp.uint64(texture.cuda_surface)]
+    inputs = [listed, grid.columns, grid.values, wp.uint64(texture.cuda_surface)]
     launch(fill_bricks, nodes**3 * len(places), inputs, device=device)
     wp.synchronize_stream(device.stream)  # frames of other streams may be the next to read it
     bricks.texture = texture.cuda_texture

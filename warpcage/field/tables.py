@@ -84,7 +84,7 @@ class ColumnTable:
         launch(
             columns.mark_blocks,
             column_count,
-            [links, counts],
+            [links, 0, counts],
             [self.columns.blocks, self.nodes, order],
             device=device,
             work=links.shape[2],

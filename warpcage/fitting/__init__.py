@@ -9,7 +9,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "cameras": "CameraRefinement CameraSums tuned_scene",
         "checkpoint": "NAMES load_progress save_progress scene_digest",
         "evaluation": "error_image ssim",
-        "level": "Level gradient_parts node_bytes row_bytes",
+        "level": "Level Look gradient_parts node_bytes row_bytes",
         "memory": "memory_size scaled_shape",
         "options": "checked_options",
         "schedule": "MAX_SCARCE RAYS_PER_VOXEL plan_batches scarcity",

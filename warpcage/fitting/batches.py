@@ -427,14 +427,14 @@ class ViewCounts:
         self.counts = wp.zeros(rows, dtype=wp.uint8, device=self.device)
         return self.counts
 
-    def take(self, counts: wp.array | None, links: wp.array, nodes: wp.array) -> None:
-        """Counts of rows at `nodes` (rows,) vec3i, from those of a grid with `links`, if there are any."""
+    def take(self, counts: wp.array | None, rows: wp.array) -> None:
+        """Those of rows (rows,) int32 among counts, if there are any."""
         if counts is not None and counts.size:
-            self.counts = gathered(counts, links, nodes)
+            self.counts = gathered(counts, rows)
 
-    def follow(self, links: wp.array, nodes: wp.array) -> None:
-        """Go on to rows at `nodes` (rows,) vec3i, of the grid whose rows were those of `links`, if there are counts."""
-        self.take(self.counts, links, nodes)
+    def follow(self, rows: wp.array) -> None:
+        """Go on to rows, by which each was before (rows,) int32, if there are counts."""
+        self.take(self.counts, rows)
 
 
 def sum_shards(gradients: Sequence[wp.array]) -> wp.array:

@@ -14,7 +14,7 @@ from ..core.devices import lane_count, launch
 from ..errors import InputError
 from ..field.io.field_file import LUMINANCE_NUMBERS, Y0
 from ..field.render import STOP_TRANSMITTANCE
-from ..field.sparse import gathered, link_mask, place_grid
+from ..field.sparse import gathered, link_mask, mask_nodes, place_grid
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
 from ..kernels.field.grid import VoxelGrid
@@ -31,7 +31,7 @@ from .silhouettes import dilated
 def field_from_mask(
     bounds: ArrayLike, mask: wp.array, density: float, *, background: str | ArrayLike, device: wp.DeviceLike
 ) -> tuple[VoxelField, wp.array]:
-    """A grey field of one density at the set nodes of a mask (nx, ny, nz) uint8, and its nodes (rows,) vec3i."""
+    """A grey field of one density at the set nodes of a mask (nx, ny, nz) uint8, and its nodes (rows,) int32."""
     links, nodes = link_mask(mask)
     rows = nodes.shape[0]
     field = VoxelField(
@@ -51,7 +51,7 @@ COEFFICIENTS = int(rmsprop.COEFFICIENTS)
 ROW_NUMBERS, ROW_PARTS = int(rmsprop.GRADIENT_ROW), int(rmsprop.ROW_PARTS)
 
 #: Bytes per row of the field: density, coefficients and the place of its node.
-FIELD_ROW_BYTES = 4 + 4 * COEFFICIENTS + 12
+FIELD_ROW_BYTES = 4 + 4 * COEFFICIENTS + 4
 
 #: Bytes per row of one shard's gradients, of the second moments, and of the mark of rows that a gradient touched.
 GRADIENT_BYTES, MOMENT_BYTES, MARK_BYTES = 4 * ROW_NUMBERS, 2 * ROW_NUMBERS, 1
@@ -86,13 +86,15 @@ class Look:
         return tuple(self.mask.shape)
 
 
-def weighty_mask(links: wp.array, nodes: wp.array, weights: wp.array, threshold: float) -> wp.array:
-    """(nx, ny, nz) uint8 mask of the nodes (rows,) with a weight (rows,) from a threshold on, and of their neighbours
-    that have a row by links (nx, ny, nz)."""
-    mask = wp.zeros(links.shape, dtype=wp.uint8, device=links.device)
-    launch(grid_refine.mark_weighty_nodes, nodes.shape[0], [nodes, weights, threshold], [mask], device=links.device)
-    mask = dilated(mask)
-    launch(grid_refine.keep_linked, mask.size, [links], [mask], device=links.device)
+def weighty_mask(shape: tuple[int, ...], nodes: wp.array, weights: wp.array, threshold: float) -> wp.array:
+    """(nx, ny, nz) uint8 mask of the nodes (rows,), flat indices, with a weight (rows,) from a threshold on, and of
+    their neighbours among the nodes."""
+    rows, device = nodes.shape[0], nodes.device
+    mask = wp.zeros(shape, dtype=wp.uint8, device=device)
+    launch(grid_refine.mark_weighty_nodes, rows, [nodes, weights, threshold], [mask.flatten()], device=device)
+    near = dilated(mask)
+    mask.zero_()
+    launch(grid_refine.take_nodes, rows, [nodes, near.flatten()], [mask.flatten()], device=device)
     return mask
 
 
@@ -102,7 +104,7 @@ class Level:
 
     def __init__(self, mask: wp.array, bounds: np.ndarray, background: np.ndarray, shards: int, views: float = 0.0):
         self.shards = shards  # arrays of gradients, one for each CPU thread
-        self.field, self.nodes = _started(mask, bounds, background)  # nodes: (rows,) vec3i, grid indices
+        self.field, self.nodes = _started(mask, bounds, background)  # nodes: (rows,) int32, flat
         self.views = ViewCounts(views, self.field.device)  # of the rows
         self.gradients: list[wp.array] = []  # (25 rows,) float32 for each shard; none while pruning
         # touched: (rows,), 1 where there is a gradient; moments: (25 rows,) bfloat16, none while the level changes
@@ -161,61 +163,66 @@ class Level:
     def look(self, shape: tuple[int, ...], kept: wp.array, picture_rays: PictureRays, least: float) -> Look:
         """Which voxels of a finer grid (nx, ny, nz) pictures show, by densities interpolated from this one.
         kept: uint8 mask over the nodes of this grid, voxels with children; least: rendering weight that shows one."""
-        device, ratio = kept.device, _ratio(shape, kept.shape)
+        device, ratio = kept.device, wp.vec3(*(n / m for n, m in zip(shape, kept.shape, strict=True)))
         mask = empty_array(shape, wp.uint8, device)
         launch(grid_refine.refine_mask, mask.size, [ratio, kept], [mask], device=device)
         grid = VoxelGrid()
         grid.links, nodes = link_mask(mask)
         rows = nodes.shape[0]
         grid.density = empty_array(rows, wp.float32, device)
-        launch(grid_refine.resample_rows, rows, [self.field.grid, ratio, nodes], [grid.density, None], device=device)
+        inputs = [self.field.grid, wp.vec3i(*shape), nodes]
+        launch(grid_refine.resample_rows, rows, inputs, [grid.density, None], device=device)
         place_grid(grid, self.field.bounds)
         counts = wp.zeros(rows, dtype=wp.uint8, device=device) if self.views.is_used else None
         # as fields of this resolution march
         inputs = [grid, 0.5 * min(grid.voxel_size), STOP_TRANSMITTANCE]
         stride = picture_rays.stride(max(shape))
         weights = picture_rays.record(record_weights, inputs, stride, rows, self.shards, counts)
-        return Look(weighty_mask(grid.links, nodes, weights, least), grid.links, counts)
+        return Look(weighty_mask(shape, nodes, weights, least), grid.links, counts)
 
     def refine(self, look: Look) -> None:
         """Values at the voxels of a look, interpolated; gradients and second moments stay released."""
-        self.resample(look.mask)
-        self.views.take(look.counts, look.links, self.nodes)
-
-    def resample(self, mask: wp.array) -> None:
-        """The field at the voxels of a mask (nx, ny, nz) uint8 of any resolution, interpolated from what it was."""
         coarse = self.field
-        fine, self.nodes = _started(mask, coarse.bounds, coarse.background)
+        fine, self.nodes = _started(look.mask, coarse.bounds, coarse.background)
         launch(
             grid_refine.resample_rows,
             fine.voxel_count,
-            [coarse.grid, _ratio(fine.resolution, coarse.resolution), self.nodes],
+            [coarse.grid, wp.vec3i(*fine.resolution), self.nodes],
             [fine.grid.density, fine.grid.sh],
-            device=mask.device,
+            device=fine.device,
         )
         self.field = fine
-        if fine.resolution == coarse.resolution:
-            self.views.follow(coarse.grid.links, self.nodes)
-        else:
-            self.views.forget()
+        self.views.forget()
+        if look.counts is not None:
+            self.views.take(look.counts, gathered(look.links.flatten(), self.nodes))
 
-    def keep(self, mask: wp.array) -> None:
-        """Only the rows of a mask (nx, ny, nz) uint8 over the grid, with their second moments; gradients stay
-        released."""
-        links, moments = self.field.grid.links, self.moments
-        self.resample(mask)
-        self.moments = empty_array(self.field.voxel_count * ROW_NUMBERS, wp.bfloat16, mask.device)
-        inputs = [links, self.nodes, *_quads(moments)]
-        items = ROW_PARTS * self.field.voxel_count
-        launch(rmsprop.gather_moments, items, inputs, _quads(self.moments), device=mask.device)
+    def keep(self, mask: wp.array) -> wp.array:
+        """Only the rows of a mask (nx, ny, nz) uint8 over the grid, with their second moments where there are any;
+        gradients stay released. Returns which each was before, (rows,) int32."""
+        coarse, device, self.nodes = self.field, mask.device, mask_nodes(mask)
+        rows, count = gathered(coarse.grid.links.flatten(), self.nodes), self.nodes.shape[0]
+        _require_rows(count)
+        bounds, background, grid = coarse.bounds, coarse.background, coarse.grid
+        density, sh = empty_array(count, wp.float32, device), empty_array((count, COEFFICIENTS), wp.float32, device)
+        inputs = [rows, grid.density, _fours(grid.sh)]
+        launch(rmsprop.gather_numbers, ROW_PARTS * count, inputs, [density, _fours(sh)], device=device)
+        del self.field, coarse, grid, inputs  # one grid at a time
+        if self.moments.size:
+            moments = empty_array(count * ROW_NUMBERS, wp.bfloat16, device)
+            inputs = [rows, *_quads(self.moments)]
+            launch(rmsprop.gather_numbers, ROW_PARTS * count, inputs, _quads(moments), device=device)
+            self.moments = moments
+        self.views.follow(rows)
+        self.field = VoxelField(bounds, link_mask(mask)[0], density, sh, background=background, device=device)
+        return rows
 
     def finish(self, picture_rays: PictureRays, threshold: float) -> VoxelField:
         """The field of the voxels that matter to pictures, with its rendering weights.
         threshold: rendering weight from which a voxel matters."""
         self.release()
-        links, weights = self.field.grid.links, self.measure_weights(picture_rays)
-        self.resample(weighty_mask(links, self.nodes, weights, threshold))
-        self.field.weights = gathered(weights, links, self.nodes)
+        weights = self.measure_weights(picture_rays)
+        rows = self.keep(weighty_mask(self.field.resolution, self.nodes, weights, threshold))
+        self.field.weights = gathered(weights, rows)
         return self.field
 
     def measure_weights(
@@ -233,7 +240,7 @@ class Level:
         stride = picture_rays.stride(max(self.field.resolution))
         added = self.views.begin(self.field.voxel_count) if counts else None
         weights = self.measure_weights(picture_rays, stride, added)
-        return weighty_mask(self.field.grid.links, self.nodes, weights, threshold)
+        return weighty_mask(self.field.resolution, self.nodes, weights, threshold)
 
     # Steps
 
@@ -307,7 +314,7 @@ class Level:
             *_quads(total),
             *_quads(self.moments),
         ]
-        outputs = [field.grid.density, array_view(field.grid.sh, wp.vec4, (field.voxel_count, ROW_PARTS - 1))]
+        outputs = [field.grid.density, _fours(field.grid.sh)]
         launch(rmsprop.apply_rmsprop, ROW_PARTS * field.voxel_count, inputs, outputs, device=field.device)
         self.touched.zero_()
         if rates.directional_kept < 1:
@@ -348,6 +355,11 @@ def gradient_parts(gradients: wp.array) -> tuple[wp.array, wp.array]:
     return density, array_view(gradients, wp.float32, (rows, COEFFICIENTS))
 
 
+def _fours(sh: wp.array) -> wp.array:
+    """Coefficients (rows, 24) as (rows, 6) of four, without a copy."""
+    return array_view(sh, wp.vec4, (sh.shape[0], ROW_PARTS - 1))
+
+
 def _quads(values: wp.array) -> tuple[wp.array, wp.array]:
     """Densities (rows,) and coefficients (rows, 6) of four, of numbers (25 rows,) in float32 or bfloat16."""
     rows, halved = values.size // ROW_NUMBERS, values.dtype == wp.bfloat16
@@ -359,12 +371,16 @@ def _started(mask: wp.array, bounds: np.ndarray, background: np.ndarray) -> tupl
     """A grey field with a row for each voxel of a mask, and its nodes."""
     density = START_DEPTH / (0.5 * float((bounds[1] - bounds[0]).max()))
     field, nodes = field_from_mask(bounds, mask, density, background=background, device=mask.device)
-    if not field.voxel_count:
+    _require_rows(field.voxel_count)
+    return field, nodes
+
+
+def _require_rows(rows: int) -> None:
+    if not rows:
         raise InputError(
             "nothing is left to render after pruning: all images may show the background alone, or "
             "not fit their cameras"
         )
-    return field, nodes
 
 
 def _moments(rows: int, device: wp.Device) -> wp.array:
@@ -373,8 +389,3 @@ def _moments(rows: int, device: wp.Device) -> wp.array:
 
 def _marks(rows: int, device: wp.Device) -> wp.array:
     return wp.zeros(rows, dtype=wp.uint8, device=device)
-
-
-def _ratio(fine: tuple[int, ...], coarse: tuple[int, ...]) -> wp.vec3:
-    """Voxels of a grid per voxel of another one over the same bounds, along each axis."""
-    return wp.vec3(*(n / m for n, m in zip(fine, coarse, strict=True)))

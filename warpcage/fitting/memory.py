@@ -36,7 +36,7 @@ IMAGE_SHARE = 0.5
 MAX_ITEMS = 2**31 - 1
 
 #: Bytes per node of a mask, per row of a weight or a density, and of a place.
-_MASK, _WEIGHT, _PLACE = 1, 4, 12
+_MASK, _WEIGHT, _PLACE = 1, 4, 4
 
 _Shape = TypeVar("_Shape")
 _UNITS = {

@@ -15,7 +15,7 @@ from ..core.names import FIT_BACKGROUNDS, checked_choice
 from ..core.npz import require_numbers
 from ..errors import InputError
 from ..field.io.field_file import surface_node_count
-from ..field.sparse import gathered, link_mask, mask_count, relinked
+from ..field.sparse import column_rows, gathered, held_nodes, mask_columns, mask_count
 from ..field.surroundings import LayeredBackground, OuterField, sky_layers
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
@@ -285,8 +285,9 @@ SKY_SIDE, MAX_SKY, SKY_RATE, SKY_VARIATION = 4, 32, 4.0, 1.0
 #: Of the sky in a checkpoint.
 SKY_NAMES = ("outer_sky", "outer_sky_moments")
 
-#: Bytes of a value, a gradient or a moment; of a row's place; of a node's row and skip; of a ray's front; of a colour.
-VALUE_BYTES, PLACE_BYTES, NODE_BYTES, FRONT_BYTES, COLOR_BYTES = 16, 12, 5, 16, 12
+#: Bytes of a value, a gradient or a moment; of a row's place; of a node's skip and share of a block of 31 nodes; of a
+#: ray's front; of a colour.
+VALUE_BYTES, PLACE_BYTES, NODE_BYTES, FRONT_BYTES, COLOR_BYTES = 16, 4, 1.3, 16, 12
 
 
 class OuterOptimizer:
@@ -319,7 +320,7 @@ class OuterOptimizer:
         self.gradients: list[wp.array] = []  # (rows,) vec4 for each shard, as the second moments
         self.sky_gradients: list[wp.array] = []
         self.moments = wp.zeros(0, dtype=wp.vec4, device=device)
-        self.nodes = wp.zeros(0, dtype=wp.vec3i, device=device)  # grid indices of each row
+        self.nodes = wp.zeros(0, dtype=wp.int32, device=device)  # flat index of each row's node
         colors = np.broadcast_to(self.color, (surface_node_count(SKY_SIDE), 3))
         self.outer = self._started(self.possible(self.sides[0]), sky_layers(colors, device).values)
         self._allocate()
@@ -340,10 +341,10 @@ class OuterOptimizer:
 
     def _started(self, mask: wp.array, sky: wp.array) -> OuterField:
         """An outer field as it starts, of a mask's voxels, which become `nodes`, and a sky."""
-        links, self.nodes = link_mask(mask)
+        columns, self.nodes = mask_columns(mask)
         start = wp.vec4(*map(float, self.color), START_DEPTH)
         values = wp.full(self.nodes.shape[0], start, dtype=wp.vec4, device=self.device)
-        return OuterField(self.center, self.half, links, values, sky=sky, device=self.device)
+        return OuterField(self.center, self.half, columns, values, sky=sky, device=self.device)
 
     def _release(self) -> None:
         """Free the memory of gradients and second moments."""
@@ -369,7 +370,7 @@ class OuterOptimizer:
     def held_bytes(self) -> int:
         """Device memory of the grid, its optimiser, and what is before and behind the rays of a batch."""
         rows, side = self.nodes.shape[0], self.outer.side
-        grid = row_bytes(self.shards) * rows + 4 * side**3 + (side - 1) ** 3
+        grid = row_bytes(self.shards) * rows + self.outer.grid.columns.blocks.capacity + (side - 1) ** 3
         return grid + self._fixed_bytes(self.outer.grid.sky.side) + self.views.held_bytes
 
     def _fixed_bytes(self, sky_side: int) -> int:
@@ -427,14 +428,15 @@ class OuterOptimizer:
 
     def _keep(self, mask: wp.array) -> None:
         """Only the voxels of a mask over the grid, with their second moments where there are any."""
-        links, sky, values = self.outer.grid.links, self.outer.grid.sky.values, self.outer.grid.values
+        before, sky, values = self.outer.grid.columns, self.outer.grid.sky.values, self.outer.grid.values
         del self.outer
-        with relinked(mask, links) as self.nodes:
-            values = gathered(values, links, self.nodes)
-            if self.moments.size:
-                self.moments = gathered(self.moments, links, self.nodes)
-            self.views.follow(links, self.nodes)
-        self.outer = OuterField(self.center, self.half, links, values, sky=sky, device=self.device)
+        columns, self.nodes = mask_columns(mask)
+        rows = column_rows(before, self.nodes)
+        values = gathered(values, rows)
+        if self.moments.size:
+            self.moments = gathered(self.moments, rows)
+        self.views.follow(rows)
+        self.outer = OuterField(self.center, self.half, columns, values, sky=sky, device=self.device)
 
     def thin_out(self, picture_rays: PictureRays, field: VoxelField) -> None:
         """Remove what no picture shows, and keep the second moments of the rest."""
@@ -451,7 +453,7 @@ class OuterOptimizer:
         inputs, added = [outer.grid, field.grid, field.step], self.views.begin(rows) if counts else None
         stride = picture_rays.stride(outer.side)
         weights = picture_rays.record(outer_loss.record_outer_weights, inputs, stride, rows, self.shards, added)
-        return weighty_mask(outer.grid.links, self.nodes, weights, threshold)
+        return weighty_mask((outer.side,) * 3, self.nodes, weights, threshold)
 
     # Steps
 
@@ -522,7 +524,7 @@ class OuterOptimizer:
         """Values and second moments, for a checkpoint."""
         return self.views.state("outer_views") | {
             "outer_sides": np.array(self.sides, np.int32),
-            "outer_occupancy": np.packbits((self.outer.grid.links.numpy() >= 0).ravel()),
+            "outer_occupancy": np.packbits(held_nodes(self.outer.grid.columns).ravel()),
             "outer_values": self.outer.values,
             "outer_moments": self.moments.numpy(),
             "outer_sky": self.outer.grid.sky.values.numpy()[0],

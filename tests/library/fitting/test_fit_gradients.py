@@ -135,7 +135,8 @@ def test_variation_gradient_matches_finite_differences(device, counted):
     unit, scale_density, scale_sh, scale_high_degree = 0.7, 0.3, 0.2, 0.9
     views, factors, arrays = counted_views(rows, device)
     by_row = factors[views] if counted else np.ones((rows, 2))
-    inputs = [0, field.grid, wp.array(nodes, dtype=wp.vec3i, device=device), 3, unit, scale_density, scale_sh]
+    flat = np.flatnonzero(links >= 0)
+    inputs = [0, field.grid, wp.array(flat, dtype=wp.int32, device=device), 3, unit, scale_density, scale_sh]
     inputs += [scale_high_degree, *(arrays if counted else (None, None))]
     kernel, outputs = field_step.accumulate_variation_gradient, [gradients, touched]
     wp.launch(kernel, dim=25 * rows, device=device, inputs=inputs, outputs=outputs)

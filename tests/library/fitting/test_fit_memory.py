@@ -18,6 +18,7 @@ from warpcage import FieldOptimizer, Scene, evaluate, fit, mean_psnr
 from warpcage.fitting import (
     PRECISIONS,
     Level,
+    Look,
     Silhouettes,
     TrainingPictures,
     load_progress,
@@ -81,8 +82,8 @@ def test_estimates_match_what_is_allocated(scene, device):
         if foretold:
             assert shape == foretold[1]
             assert held <= foretold[0].level_bytes(rows, shape) <= 1.1 * (held + passing)
-    # counted: 25 numbers of gradient for each thread and of 16-bit moments, a mark, 25 of the field and 3 of its place
-    assert own.row == 25 * 4 * optimizer.shards + 25 * 2 + 1 + 25 * 4 + 12
+    # counted: 25 numbers of gradient for each thread and of 16-bit moments, a mark, 25 of the field and its place
+    assert own.row == 25 * 4 * optimizer.shards + 25 * 2 + 1 + 25 * 4 + 4
     assert own.node == pytest.approx(4 + 1, rel=0.1)
 
 
@@ -369,7 +370,9 @@ def test_a_refinement_by_a_fraction_keeps_the_picture(scene, device):
     optimizer = FieldOptimizer(scene, device=device, resolution=16, levels=1)
     shape = scaled_shape(field.resolution, 1.4)
     optimizer.current.field = field
-    optimizer.current.resample(wp.ones(shape, dtype=wp.uint8, device=device))
+    optimizer.current.refine(
+        Look(wp.ones(shape, dtype=wp.uint8, device=device), wp.zeros(shape, dtype=wp.int32, device=device), None)
+    )
     images = np.clip([field.render(camera).rgb for camera in scene.cameras], 0, 1)
     assert mean_psnr(evaluate(optimizer.field, Scene(images, None, scene.cameras))) > 28
 
