@@ -273,14 +273,17 @@ def blended_rows(values: wp.array(dtype=wp.vec4), rows: eight_rows, weights: eig
 
 
 @wp.func
-def outer_sample(outer: OuterGrid, g: wp.vec3):
+def outer_rows(outer: OuterGrid, g: wp.vec3):
+    """Rows of the eight nodes around node coordinates within the grid."""
+    return cell_rows(outer.columns, int(g[0]), int(g[1]), int(g[2]))
+
+
+@wp.func
+def outer_sample(outer: OuterGrid, g: wp.vec3, rows: eight_rows):
     """Rows, weights and value at node coordinates within the grid."""
     result = OuterSample()
-    i = int(g[0])
-    j = int(g[1])
-    k = int(g[2])
-    f = g - wp.vec3(float(i), float(j), float(k))
-    result.rows = cell_rows(outer.columns, i, j, k)
+    f = g - wp.vec3(wp.floor(g[0]), wp.floor(g[1]), wp.floor(g[2]))
+    result.rows = rows
     for c in range(8):
         di = c >> 2
         dj = (c >> 1) & 1
@@ -300,7 +303,7 @@ def outer_value(outer: OuterGrid, g: wp.vec3):
     """Value at node coordinates in a cell that holds anything, by the texture units of a GPU."""
     if reads_textures() == 1:
         return brick_value(outer.bricks, g, BRICK_CELLS, ACROSS_BITS)
-    return outer_sample(outer, g).value
+    return outer_sample(outer, g, outer_rows(outer, g)).value
 
 
 @wp.func
@@ -325,15 +328,17 @@ def outer_step(outer: OuterGrid, piece: OuterPiece, k: int, light: float, lane: 
     own = k + lane
     g = outer_place(outer, piece, own)
     empty = int(1)
+    rows = eight_rows()
     if own < piece.count and light > OUTER_STOP:
         empty = outer_empty(outer, g)
+        rows = outer_rows(outer, g)  # before it is known whether any is there: both reads are under way at once
     step.kept = 1.0
     step.following = k + lanes
     after = own + 1
     if empty > 0:
         after = sample_after(piece, own, g, empty)
     else:
-        step.sample = outer_sample(outer, g)
+        step.sample = outer_sample(outer, g, rows)
         if step.sample.value[3] > 0.0:
             step.has_matter = 1
             step.kept = wp.exp(-step.sample.value[3] * piece.length)
@@ -527,7 +532,7 @@ def resample_outer(
     g = ratio * wp.vec3(float(i) + 0.5, float(j) + 0.5, float(k) + 0.5)
     for axis in range(3):
         g[axis] = wp.clamp(g[axis] - 0.5, 0.0, top)
-    sample = outer_sample(coarse, g)
+    sample = outer_sample(coarse, g, outer_rows(coarse, g))
     total = float(0.0)
     for c in range(8):
         if sample.rows[c] >= 0:

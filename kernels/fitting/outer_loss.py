@@ -47,7 +47,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 forward_only = forward_only_in(__name__, (float, wp.vec3))
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 3))  # at most 80 registers: three blocks at a time wait for less
 def gather_outer(
     first: int, outer: OuterGrid, rays: TrainingRays, front: wp.array(dtype=wp.vec4), behind: wp.array(dtype=wp.vec3)
 ):
@@ -142,7 +142,7 @@ def light_behind(grad_behind: wp.vec3, grad_pixel: wp.vec3):
     return wp.clamp(wp.length(grad_behind) / wp.max(wp.length(grad_pixel), 1.0e-20), 0.0, 1.0)
 
 
-@wp.kernel(launch_bounds=(256, 2))  # at most 128 registers: two blocks at a time
+@wp.kernel(launch_bounds=(256, 3))
 def accumulate_outer_gradient(
     first: int,
     outer: OuterGrid,
