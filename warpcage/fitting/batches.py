@@ -360,7 +360,7 @@ def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) 
 
 
 #: Rays of a look at all pictures, at most: hundreds of pictures show what some of their pixels do.
-MAX_LOOKS = 8e7
+MAX_LOOKS = 2e7
 
 
 @dataclasses.dataclass(frozen=True)
