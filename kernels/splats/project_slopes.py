@@ -8,11 +8,12 @@
 import warp as wp
 
 from ..core.gradients import forward_only_in
+from ..core.loads import vec4_entry
 from ..field.harmonics import sh_basis, vec16
 from .fit import quaternion_slope, splat_axes
 from .pose import covariance_of
 from .project import ROOT_SCALE, Lens, rim_slope
-from .splats import Splats
+from .splats import Splats, four_entries
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -83,30 +84,16 @@ def basis_slope(d: wp.vec3, g: vec16):
 
 @wp.func
 def color_slope(splats: Splats, n: int, direction: wp.vec3, by_color: wp.vec3):
-    """Slopes by a unit direction and by the color before it is held at 0, from that by the color seen along it."""
-    basis = sh_basis(direction)
-    count = (splats.degree + 1) * (splats.degree + 1)
-    color = wp.vec3(0.5, 0.5, 0.5)
-    for b in range(16):  # unrolled, so that the basis stays in registers
-        if b < count:
-            coefficient = wp.vec3(
-                splats.harmonics[n, 3 * b], splats.harmonics[n, 3 * b + 1], splats.harmonics[n, 3 * b + 2]
-            )
-            color += basis[b] * coefficient
-    g = wp.vec3(
-        wp.where(color[0] > 0.0, by_color[0], 0.0),
-        wp.where(color[1] > 0.0, by_color[1], 0.0),
-        wp.where(color[2] > 0.0, by_color[2], 0.0),
-    )
+    """Slope by a unit direction, from that by the color seen along it where it is not held at 0."""
     weights = vec16()
-    for b in range(16):
-        if b < count:
-            weights[b] = (
-                g[0] * splats.harmonics[n, 3 * b]
-                + g[1] * splats.harmonics[n, 3 * b + 1]
-                + g[2] * splats.harmonics[n, 3 * b + 2]
-            )
-    return forward_only(basis_slope(direction, weights), direction), forward_only(g, by_color)
+    count = 3 * (splats.degree + 1) * (splats.degree + 1)
+    for j in range(12):  # unrolled, so that the weights stay in registers
+        if 4 * j < count:
+            four = four_entries(splats.harmonics, n, j)
+            for i in range(4):
+                if 4 * j + i < count:
+                    weights[(4 * j + i) // 3] += by_color[(4 * j + i) % 3] * four[i]
+    return forward_only(basis_slope(direction, weights), direction)
 
 
 @wp.func
@@ -153,8 +140,11 @@ def row_slopes(
     if wp.length_sq(by_place) + wp.length_sq(by_shape) + wp.length_sq(by_color) == 0.0:
         return found
     strength = by_place[0]
-    place = view[3 * n]
-    shape = view[3 * n + 1]
+    place = vec4_entry(view, 3 * n)
+    shape = vec4_entry(view, 3 * n + 1)
+    drawn = wp.vec3(shape[2], shape[3], vec4_entry(view, 3 * n + 2)[0])
+    for channel in range(3):  # colors held at 0
+        by_color[channel] = wp.where(drawn[channel] > 0.0, by_color[channel], 0.0)
     # w = l_0 (x - column) + l_1 (y - row) and s = l_2 (y - row), each once in -w^2 - s^2
     column = 2.0 * place[3] * by_place[1]
     row = 2.0 * (shape[0] * by_place[1] + shape[1] * by_place[2])
@@ -214,9 +204,9 @@ def row_slopes(
     by_z = -(wp.dot(slope_column, to_column) + wp.dot(slope_row, to_row) + by_x * x + by_y * y) / z
     distance = wp.length(offset)
     direction = offset / distance
-    by_direction, color = color_slope(splats, n, direction, by_color)
+    by_direction = color_slope(splats, n, direction, by_color)
     found.direction = direction
-    found.color = color
+    found.color = by_color
     seen = (by_direction - wp.dot(by_direction, direction) * direction) / distance
     found.center = (by_x / z) * axis_x + (by_y / z) * axis_y + by_z * axis_z + seen
     return found

@@ -24,6 +24,31 @@ class Splats:
     rows: wp.array(dtype=wp.int32)  # (n,) row of harmonics of each splat; or (0,): splat i has row i
 
 
+@wp.func_native(
+    """
+    const float* from = rows.data + (size_t)n * (rows.strides[0] / sizeof(float)) + 4 * j;
+#if defined(__CUDA_ARCH__)
+    if (4 * j + 4 <= rows.shape[1] && (reinterpret_cast<size_t>(from) & 15u) == 0u)
+    {
+        const float4 four = *reinterpret_cast<const float4*>(from);
+        return wp::vec_t<4, wp::float32>(four.x, four.y, four.z, four.w);
+    }
+#endif
+    wp::vec_t<4, wp::float32> found;
+    for (int i = 0; i < 4; ++i)
+        found.c[i] = 4 * j + i < rows.shape[1] ? from[i] : 0.0f;
+    return found;
+""",
+    adj_snippet="""
+    for (int i = 0; i < 4 && 4 * j + i < rows.shape[1]; ++i)
+        wp::adj_address(rows, n, 4 * j + i, adj_rows, 0, 0, adj_ret.c[i]);
+""",
+)
+def four_entries(rows: wp.array2d(dtype=wp.float32), n: int, j: int) -> wp.vec4:
+    """rows[n, 4 j] to rows[n, 4 j + 3], 0 beyond the end; in one read where rows begin at a multiple of 16 bytes."""
+    ...
+
+
 @wp.func
 def harmonics_row(splats: Splats, n: int):
     """The row of harmonics of splat n."""
@@ -47,16 +72,15 @@ def splat_color(splats: Splats, n: int, direction: wp.vec3):
     """Colour of splat n seen along a unit direction, from the camera into the scene; not below 0."""
     row = harmonics_row(splats, n)
     basis = sh_basis(rest_direction(splats, n, direction))
-    red = float(0.5)
-    green = float(0.5)
-    blue = float(0.5)
-    count = (splats.degree + 1) * (splats.degree + 1)
-    for b in range(16):  # unrolled, so that the basis stays in registers
-        if b < count:
-            red += basis[b] * splats.harmonics[row, 3 * b]
-            green += basis[b] * splats.harmonics[row, 3 * b + 1]
-            blue += basis[b] * splats.harmonics[row, 3 * b + 2]
-    return forward_only(wp.max(wp.vec3(red, green, blue), wp.vec3(0.0, 0.0, 0.0)), direction)
+    color = wp.vec3(0.5, 0.5, 0.5)
+    count = 3 * (splats.degree + 1) * (splats.degree + 1)
+    for j in range(12):  # unrolled, so that the basis stays in registers
+        if 4 * j < count:
+            four = four_entries(splats.harmonics, row, j)
+            for i in range(4):
+                if 4 * j + i < count:
+                    color[(4 * j + i) % 3] += basis[(4 * j + i) // 3] * four[i]
+    return forward_only(wp.max(color, wp.vec3(0.0, 0.0, 0.0)), direction)
 
 
 #: Standard deviations beyond which nothing of a splat is counted.

@@ -5,6 +5,7 @@
 
 import warp as wp
 
+from ..core.lanes import octet_count
 from ..core.loads import vec4_entry
 from .project import LOG2_MIN_ALPHA, band_columns
 
@@ -83,6 +84,26 @@ def count_tiles(
     counts[i] = wp.int64(count)
 
 
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const unsigned octet = 0xffu << (threadIdx.x & 24);
+    int total = count;
+    for (int reach = 1; reach < 8; reach <<= 1)
+    {
+        const int before = __shfl_up_sync(octet, total, reach, 8);
+        if ((threadIdx.x & 7) >= reach)
+            total += before;
+    }
+    return wp::vec_t<2, wp::int32>(total - count, __shfl_sync(octet, total, 7, 8));
+#else
+    return wp::vec_t<2, wp::int32>(0, count);
+#endif
+""")
+def counts_of_octet(count: wp.int32) -> wp.vec2i:
+    """Sums of the counts of the lanes of an octet before this one, and of all of them. All lanes of the octet."""
+    ...
+
+
 @wp.kernel
 def write_entries(
     first: int,
@@ -94,8 +115,12 @@ def write_entries(
     keys: wp.array(dtype=wp.int32),
     members: wp.array(dtype=wp.int32),
 ):
-    """ends: (n,) running sums of the counts. keys, members: tile and splat of each entry, `room` of them at most."""
-    i = first + wp.tid()
+    """An octet per splat, a lane of it per row of tiles. ends: (n,) running sums of the counts. keys, members: tile
+    and splat of each entry, `room` of them at most."""
+    item = first + wp.tid()
+    lanes = octet_count()
+    i = item // lanes
+    lane = item % lanes
     at = int(0)
     if i > 0:
         at = int(wp.min(ends[i - 1], wp.int64(room)))
@@ -106,17 +131,24 @@ def write_entries(
     place = vec4_entry(view, 3 * n)
     shape = vec4_entry(view, 3 * n + 1)
     rows = touched_rows(tiles, place, shape)
-    for row in range(rows[0], rows[1] + 1):
-        columns = touched_columns(tiles, place, shape, row)
-        for column in range(columns[0], columns[1] + 1):
-            if at < end:
-                keys[at] = (row - tiles.first_row) * tiles.columns + column
-                members[at] = n
-                at += 1
+    for begin in range(rows[0], rows[1] + 1, lanes):
+        row = begin + lane
+        count = int(0)
+        columns = wp.vec2i(1, 0)
+        if row <= rows[1]:
+            columns = touched_columns(tiles, place, shape, row)
+            count = wp.max(columns[1] + 1 - columns[0], 0)
+        counts = counts_of_octet(count)
+        for k in range(count):
+            if at + counts[0] + k < end:
+                keys[at + counts[0] + k] = (row - tiles.first_row) * tiles.columns + columns[0] + k
+                members[at + counts[0] + k] = n
+        at += counts[1]
+    at += lane
     while at < end:  # the two kernels may be compiled to round otherwise; these are behind all tiles
         keys[at] = tiles.rows * tiles.columns
         members[at] = n
-        at += 1
+        at += lanes
 
 
 @wp.kernel

@@ -32,6 +32,9 @@ NEAR_SHARE = 0.01
 #: Entries of splats in tiles that are sorted at once. Pictures that have more are drawn in bands.
 MAX_ENTRIES = 1 << 26
 
+#: Threads that write the entries of a splat on CUDA.
+OCTET = 8
+
 #: Steps that a splat takes to be projected and a tile to be drawn, for launches on the CPU.
 PROJECT_WORK, DRAW_WORK = 100, 20_000
 
@@ -114,7 +117,8 @@ class SplatRenderer:
         keys, members = self._keys.take(2 * total), self._members.take(2 * total)
         ends = self._ends.take(count)
         inputs = [view, order, ends, grid, total]
-        launch(tiles.write_entries, count if total else 0, inputs, [keys, members], device=self.device)
+        items = count * (1 if self.device.is_cpu else OCTET) if total else 0
+        launch(tiles.write_entries, items, inputs, [keys, members], device=self.device)
         return keys, members
 
     def _sort(self, grid: Any, total: int, keys: wp.array, members: wp.array) -> wp.array:
