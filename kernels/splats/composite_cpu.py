@@ -100,7 +100,7 @@ def composite_tiles(
     depth: wp.array(dtype=wp.float32),
 ):
     """One item per tile. Outputs (h * w,), row by row; depth: expected distance along the ray, world units, inf where
-    almost nothing is seen."""
+    almost nothing is seen, or (0,)."""
     # view: (3 n,) of splats/project. members: splats of tiles, front to back; starts: (tiles + 1,) of each tile.
     tile = first + wp.tid()
     draw_tile(view, members, starts[tile], starts[tile + 1], tiles, tile, background, stop, rgb, alpha, depth)

@@ -122,7 +122,8 @@ class SplatGradients(SplatRenderer):
         pool = BufferPool(self.device)
         self._sums, self._entry_sums = pool.buffer(wp.float32), pool.buffer(wp.float32)
         self._tiles, self._sources = pool.buffer(wp.int32), pool.buffer(wp.int32)
-        self._rgb, self._alpha, self._depth = pool.buffer(wp.vec3), pool.buffer(wp.float32), pool.buffer(wp.float32)
+        self._rgb, self._alpha = pool.buffer(wp.vec3), pool.buffer(wp.float32)
+        self._no_depth: wp.array = empty_array(0, wp.float32, self.device)
         self._drawn: tuple[Any, ...] = ()
         self._parameters: Any = None
         self._lens: Any = None
@@ -156,9 +157,8 @@ class SplatGradients(SplatRenderer):
         sources = self._write_sources(grid, total, keys) if self.device.is_cpu else None
         starts = self._sort(grid, total, keys, members)
         rgb, alpha = self._rgb.take(pixels), self._alpha.take(pixels)
-        depth = self._depth.take(pixels if self.device.is_cpu else 0)  # a GPU draws none: it is not asked for
         inputs = [seen[1], members, starts, grid]
-        self._composite(grid, [*inputs, color, STOP_TRANSMITTANCE], [rgb, alpha, depth])
+        self._composite(grid, [*inputs, color, STOP_TRANSMITTANCE], [rgb, alpha, self._no_depth])
         self._drawn = grid, seen, inputs, sources, total, rgb
         return rgb, alpha
 

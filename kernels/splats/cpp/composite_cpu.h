@@ -1,4 +1,6 @@
 #if !defined(__CUDA_ARCH__)
+{
+#pragma clang fp contract(fast)
 typedef float lanes __attribute__((ext_vector_type(8)));
 typedef int bits __attribute__((ext_vector_type(8)));
 const lanes steps = {0.5f, 1.5f, 2.5f, 3.5f, 4.5f, 5.5f, 6.5f, 7.5f};
@@ -7,6 +9,8 @@ lanes left[16][2], red[16][2], green[16][2], blue[16][2], far[16][2];
 const int x0 = (tile % tiles.columns) * 16, y0 = (tiles.first_row + tile / tiles.columns) * 16;
 const int width = tiles.width - x0 < 16 ? tiles.width - x0 : 16;
 const int height = tiles.height - y0 < 16 ? tiles.height - y0 : 16;
+const bool with_depth = depth.shape[0] > 0;
+unsigned alive = 0xffffffffu;
 for (int y = 0; y < 16; ++y)
     for (int part = 0; part < 2; ++part)
     {
@@ -15,47 +19,24 @@ for (int y = 0; y < 16; ++y)
         left[y][part] = (lanes)(there & (bits)((lanes)1.0f));
         red[y][part] = green[y][part] = blue[y][part] = far[y][part] = (lanes)0.0f;
     }
-int top = 0, bottom = height - 1; // rows that still see something
-for (int e = begin; e < end; ++e)
+for (int e = begin; e < end && alive; ++e)
 {
-    if (((e - begin) & 15) == 15)
-    {
-        for (; top <= bottom; ++top)
-        {
-            float most = 0.0f;
-            for (int x = 0; x < 8; ++x)
-                most = wp::max(most, wp::max(left[top][0][x], left[top][1][x]));
-            if (most > stop)
-                break;
-        }
-        for (; bottom > top; --bottom)
-        {
-            float most = 0.0f;
-            for (int x = 0; x < 8; ++x)
-                most = wp::max(most, wp::max(left[bottom][0][x], left[bottom][1][x]));
-            if (most > stop)
-                break;
-        }
-        if (top > bottom)
-            break;
-    }
+#include "tile_alive.h"
 #include "tile_member.h"
-    const int first_row = from > (float)top ? (from > 16.0f ? 16 : (int)from) : top;
-    const int last_row = to < (float)bottom ? (to < 0.0f ? -1 : (int)to) : bottom;
-    const float wide = 1.0f / l0;
     for (int y = first_row; y <= last_row; ++y)
     {
 #include "tile_row.h"
-        for (int part = first_part; part <= last_part; ++part)
+        for (int part = 0; part < 2; ++part)
         {
+            if (!(parts >> part & 1u))
+                continue;
 #include "tile_raised.h"
-            lanes alpha = raised < 0.999f ? raised : (lanes)0.999f;
-            alpha = (lanes)((bits)alpha & drawn);
             const lanes weight = alpha * left[y][part];
             red[y][part] += weight * p[6];
             green[y][part] += weight * p[7];
             blue[y][part] += weight * p[8];
-            far[y][part] += weight * (p[9] + p[11] * dy + p[10] * dx);
+            if (with_depth)
+                far[y][part] += weight * (p[9] + p[11] * dy + p[10] * dx);
             left[y][part] -= weight;
         }
     }
@@ -71,6 +52,8 @@ for (int y = 0; y < height; ++y)
         colors[3 * at + 1] = green[y][part][lane] + rest * background.c[1];
         colors[3 * at + 2] = blue[y][part][lane] + rest * background.c[2];
         alpha.data[at] = opacity;
-        depth.data[at] = opacity > 1.0e-3f ? far[y][part][lane] / opacity : INFINITY;
+        if (with_depth)
+            depth.data[at] = opacity > 1.0e-3f ? far[y][part][lane] / opacity : INFINITY;
     }
+}
 #endif

@@ -1,4 +1,6 @@
 #if !defined(__CUDA_ARCH__)
+{
+#pragma clang fp contract(fast)
 typedef float lanes __attribute__((ext_vector_type(8)));
 typedef int bits __attribute__((ext_vector_type(8)));
 const lanes steps = {0.5f, 1.5f, 2.5f, 3.5f, 4.5f, 5.5f, 6.5f, 7.5f};
@@ -9,6 +11,7 @@ const int width = tiles.width - x0 < 16 ? tiles.width - x0 : 16;
 const int height = tiles.height - y0 < 16 ? tiles.height - y0 : 16;
 const float* colors = reinterpret_cast<const float*>(rgb.data);
 const float* given = reinterpret_cast<const float*>(slopes.data);
+unsigned alive = 0xffffffffu;
 for (int y = 0; y < 16; ++y)
     for (int x = 0; x < 16; ++x)
     {
@@ -27,48 +30,55 @@ for (int y = 0; y < 16; ++y)
     }
 for (int e = begin; e < end; ++e)
 {
+#include "tile_alive.h"
 #include "tile_member.h"
-    const int first_row = from > 0.0f ? (from > 16.0f ? 16 : (int)from) : 0;
-    const int last_row = to < (float)(height - 1) ? (to < 0.0f ? -1 : (int)to) : height - 1;
-    const float wide = 1.0f / l0;
     lanes found[9];
     for (int i = 0; i < 9; ++i)
         found[i] = (lanes)0.0f;
-    for (int y = first_row; y <= last_row; ++y)
+    for (int y = alive ? first_row : 16; y <= last_row; ++y)
     {
 #include "tile_row.h"
-        for (int part = first_part; part <= last_part; ++part)
+        for (int part = 0; part < 2; ++part)
         {
+            if (!(parts >> part & 1u))
+                continue;
 #include "tile_raised.h"
-            const bits free = drawn & (raised < 0.999f);
-            lanes alpha = raised < 0.999f ? raised : (lanes)0.999f;
-            alpha = (lanes)((bits)alpha & drawn);
             const lanes weight = alpha * left[y][part];
             const lanes gx = slope[0][y][part], gy = slope[1][y][part], gz = slope[2][y][part];
             const lanes lit = gx * p[6] + gy * p[7] + gz * p[8];
             behind[y][part] -= weight * lit;
-            lanes q = 0.6931471806f * alpha * (left[y][part] * lit - behind[y][part] / (1.0f - alpha));
-            q = (lanes)((bits)q & free);
+            lanes q = alpha * (left[y][part] * lit - behind[y][part] / (1.0f - alpha));
+            q = raised < 0.999f ? q : (lanes)0.0f;
             left[y][part] -= weight;
-            const lanes qw = q * w, qs = q * s;
+            const lanes qw = q * w;
             found[0] += q;
             found[1] += qw;
-            found[2] += qs;
+            found[2] += q * s;
             found[3] += qw * dx;
             found[4] += qw * dy;
-            found[5] += qs * dy;
+            found[5] += q * (s * dy);
             found[6] += weight * gx;
             found[7] += weight * gy;
             found[8] += weight * gz;
         }
     }
+    // eight sums of lanes at once: four lanes of each, then two, then one
+    lanes half[4], quarter[2];
+    for (int i = 0; i < 4; ++i)
+        half[i] = __builtin_shufflevector(found[i], found[i + 4], 0, 1, 2, 3, 8, 9, 10, 11) +
+                  __builtin_shufflevector(found[i], found[i + 4], 4, 5, 6, 7, 12, 13, 14, 15);
+    for (int i = 0; i < 2; ++i)
+        quarter[i] = __builtin_shufflevector(half[i], half[i + 2], 0, 1, 8, 9, 4, 5, 12, 13) +
+                     __builtin_shufflevector(half[i], half[i + 2], 2, 3, 10, 11, 6, 7, 14, 15);
+    lanes sums = __builtin_shufflevector(quarter[0], quarter[1], 0, 8, 2, 10, 4, 12, 6, 14) +
+                 __builtin_shufflevector(quarter[0], quarter[1], 1, 9, 3, 11, 5, 13, 7, 15);
+    sums *= (lanes){0.6931471806f, 0.6931471806f, 0.6931471806f, 0.6931471806f, 0.6931471806f, 0.6931471806f, 1.0f, 1.0f};
     float* row = reinterpret_cast<float*>(entry_sums.data) + 9 * (size_t)sources.data[e];
-    for (int i = 0; i < 9; ++i)
-    {
-        float total = 0.0f;
-        for (int lane = 0; lane < 8; ++lane)
-            total += found[i][lane];
-        row[i] = total;
-    }
+    __builtin_memcpy(row, &sums, sizeof(sums));
+    float last = 0.0f;
+    for (int lane = 0; lane < 8; ++lane)
+        last += found[8][lane];
+    row[8] = last;
+}
 }
 #endif

@@ -1,4 +1,4 @@
-// where a part is drawn, and two to the power of the exponent there
+// two to the power of the exponent in a part, and the alpha where it is drawn
 const lanes dx = steps + ((float)(8 * part) - u);
 const lanes w = l0 * dx + shift;
 const lanes power = kept - w * w;
@@ -13,3 +13,5 @@ e2 = e2 * f + 2.40153619e-1f;
 e2 = e2 * f + 6.93153073e-1f;
 e2 = e2 * f + 9.99999925e-1f;
 const lanes raised = (lanes)((bits)e2 + (down << 23));
+lanes alpha = raised < 0.999f ? raised : (lanes)0.999f;
+alpha = (lanes)((bits)alpha & drawn);
