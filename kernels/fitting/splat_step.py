@@ -45,8 +45,8 @@ class SplatStep:
     beta1: float
     beta2: float
     epsilon: float
-    share1: float  # 1 - beta1^t
-    share2: float  # 1 - beta2^t
+    mean_factor: float  # 1 / (1 - beta1^t)
+    root_factor: float  # 1 / sqrt(1 - beta2^t)
     opacity_weight: float  # of the sum of opacities: the weight of their mean over their number
     scale_weight: float  # of the sum of scales
     noise: float  # rate of centers times what the noise is relative to it
@@ -224,7 +224,7 @@ def adam_change(step: SplatStep, rate: float, slope: float, mean: float, square:
     """How far a value goes, and the means of its slopes and of their squares after it."""
     m = step.beta1 * mean + (1.0 - step.beta1) * slope
     v = step.beta2 * square + (1.0 - step.beta2) * slope * slope
-    return rate * (m / step.share1) / (wp.sqrt(v / step.share2) + step.epsilon), m, v
+    return rate * step.mean_factor * m / (step.root_factor * wp.sqrt(v) + step.epsilon), m, v
 
 
 @wp.kernel

@@ -53,7 +53,7 @@ class Stepper:
         step = splat_step.SplatStep()
         for name, value in self.numbers.items():
             setattr(step, name, value)
-        step.share1, step.share2 = 1 - 0.9**number, 1 - 0.999**number
+        step.mean_factor, step.root_factor = 1 / (1 - 0.9**number), 1 / (1 - 0.999**number) ** 0.5
         step.seed = number
         steps = wp.array([step], dtype=splat_step.SplatStep, device=self.device)
         growing, device = self.growing, self.device
