@@ -99,6 +99,10 @@ def camera(size: int = 16) -> warpcage.Camera:
 
 CAGE = warpcage.Cage.icosphere((0, 0, 0), 1.2)
 POSE = CAGE.twist(50)
+QUADS = warpcage.Cage(
+    [(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)],
+    [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)],
+)
 POINTS = np.random.default_rng(0).uniform(-0.6, 0.6, (64, 3))
 
 
@@ -159,6 +163,7 @@ def coordinates(device) -> None:
     launch(map_green, len(points), inputs, [wp.empty_like(points)], device=device)
     warpcage.mean_value_coordinates(points, CAGE)
     warpcage.green_coordinates(points, CAGE)
+    warpcage.mean_value_coordinates(points, QUADS)
     warpcage.harmonic_coordinates(POINTS, CAGE, resolution=12, device=device)
     for kind in COORDINATES:
         warpcage.deform_points(points, CAGE, POSE, coordinates=kind)

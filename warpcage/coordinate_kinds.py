@@ -37,6 +37,7 @@ class CoordinateKind:
     has_face_weights: bool = False
     is_precise: bool = False  # also evaluated at every sample, without a lattice (kernels/edits/trace.py)
     extends: bool = False  # defined outside of the cage too
+    face_cells: int = 1  # along each edge of a face of more than three corners, of the surface that it is solved on
 
     @property
     def is_closed_form(self) -> bool:
@@ -76,6 +77,7 @@ COORDINATE_KINDS: dict[str, CoordinateKind] = {
             help="follows limbs",
             move_points="coordinates.coordinates:move_on_lattice",
             solver="lattice.harmonic:HarmonicSolver",
+            face_cells=2,  # which cost it next to nothing
             modules=("kernels.lattice.harmonic", "kernels.lattice.harmonic_coarse", "kernels.lattice.cut_rows"),
         ),
         CoordinateKind(

@@ -1,4 +1,4 @@
-"""Cage: the coarse triangle mesh around an object whose vertices steer it."""
+"""Cage: the coarse mesh around an object whose vertices steer it."""
 
 from __future__ import annotations
 
@@ -31,14 +31,19 @@ from .up_axis import load_standing
 
 
 class Cage(PosableMesh):
-    """A triangle mesh that encloses an object, or a part of it; immutable.
+    """A mesh that encloses an object, or a part of it; immutable.
+
+    Faces are triangles, or polygons: those of four corners are the bilinear patches between them, others as many patches
+    around their middle, so that all corners of a face count alike. Coordinates are computed on fine triangles over the
+    patches (`surface`), and come back as those of the cage's own vertices. Concave polygons are cut into triangles.
 
     The constructor takes open, inverted and self-intersecting meshes too, so that `check` can describe and `repair`
     mend them. The coordinate functions and `Deformer` call `require_usable`, which refuses them.
 
     Args:
         vertices: (v, 3) finite floats in the scene's world units. They are kept as float64 in the order given.
-        faces: (f, 3) whole numbers, indices of vertices, anticlockwise seen from outside. They are kept as int32.
+        faces: (f, 3) whole numbers, indices of vertices, anticlockwise seen from outside; (f, n) for polygons, with -1
+            behind the last corner of faces of fewer; or a sequence of the corners of each. They are kept as int32.
 
     Raises:
         ValueError: For other shapes, values that are not finite, or indices that point nowhere.
@@ -53,7 +58,7 @@ class Cage(PosableMesh):
 
         Args:
             pose: A Cage of the same mesh. Its vertices or faces may come in another order, its quads may be cut along
-                other diagonals, and its vertices may be repeated where faces meet.
+                any diagonals, and its vertices may be repeated where faces meet.
 
         Returns:
             The pose.
@@ -152,7 +157,7 @@ class Cage(PosableMesh):
     ) -> Cage:
         """Read an OBJ, PLY, OFF or glTF file, or one of another package's format (`warpcage.mesh.MeshFormat`).
 
-        All vertices keep their order, used or not; polygons are cut. In glTF files, and in PLY files with texture
+        All vertices keep their order, used or not, and polygons stay polygons; glTF has triangles alone. In glTF files, and in PLY files with texture
         coordinates or normals, vertices at one place that differ in these alone are one, at the place of the first in
         the order: programs split vertices so along seams.
 
@@ -189,7 +194,8 @@ class Cage(PosableMesh):
     def save(self, path: PathLike, *, up: str | None = None) -> None:
         """Write an OBJ, PLY (binary), OFF or glTF (.glb, .gltf) file. It appears whole or not at all.
 
-        Vertices keep their order. They keep every bit too, except in glTF, which holds float32.
+        Vertices keep their order. They keep every bit too, except in glTF, which holds float32. Polygons are written as
+        they came, except in glTF, which has triangles alone.
 
         Args:
             path: The file; its ending says which format it gets.
@@ -198,7 +204,7 @@ class Cage(PosableMesh):
         Raises:
             ValueError: For another ending or another axis.
         """
-        write_mesh(path, self.vertices, self.faces, up)
+        write_mesh(path, self, up)
 
     # -- Simple shapes
 
@@ -355,7 +361,9 @@ class Cage(PosableMesh):
     # -- Other cages of the same object
 
     def subdivide(self, times: int = 1) -> Cage:
-        """Cut every face in four at the middles of its edges. The surface stays where it is.
+        """Cut every face at the middles of its edges, triangles and quads in four. The surface stays where it is.
+
+        Faces of more corners are cut in as many quads around their middle.
 
         Args:
             times: How often, 1 to 4.

@@ -13,7 +13,8 @@ from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..mesh.match import matched_vertices
 from ..mesh.mesh import ClosedMesh, TriangleMesh, require_mesh
-from ..mesh.queries import inside_mesh, intersecting_faces
+from ..mesh.patches import face_middles
+from ..mesh.queries import crossing_faces, inside_mesh
 from ..mesh.validity import coincident_vertices, degenerate_faces, first_problem, inward_parts
 from ..select.selection import NodeSelection, visible_nodes
 from ..splats.splat_field import SplatField
@@ -76,7 +77,8 @@ class CageReport:
         degenerate_faces: Faces without area.
         coincident_vertices: Pairs of vertices at the same place.
         inward_parts: Parts that look inward.
-        intersecting_faces: Pairs of faces that cross.
+        intersecting_faces: Pairs of faces that cross; a face with more than three corners that folds over itself is a
+            pair with itself.
         unused_vertices: Vertices of no face.
         mesh_enclosed: Share of the mesh's vertices inside; None without a mesh.
         field_enclosed: Share of the field's visible voxels inside; None without a field.
@@ -87,6 +89,10 @@ class CageReport:
         notes: What a selection left out of the field.
         problem: Why the cage cannot be used; empty where it can.
         pose: What a pose does; None without a pose.
+        concave_faces: Faces of four and more corners that are cut into triangles, as a patch between the corners would
+            fold over.
+        planarity: The farthest that a corner of a face lies from the plane that fits it best, over the face's size; 0
+            where all are triangles.
     """
 
     vertex_count: int
@@ -114,6 +120,8 @@ class CageReport:
     notes: tuple[str, ...]
     problem: str
     pose: PoseReport | None = None
+    concave_faces: tuple[int, ...] = ()
+    planarity: float = 0.0
 
     @property
     def closed(self) -> bool:
@@ -149,6 +157,15 @@ class CageReport:
             "face_terms": self.face_count * inside,
         }  # fmt: skip
 
+    def _polygon_rows(self) -> list[tuple[str, str, str]]:
+        """What is said of faces of more than three corners, where there are any."""
+        rows = [("faces off their plane", f"by {100 * self.planarity:.1f} % of their size at most", "")]
+        rows = rows if self.planarity > 0.001 else []
+        if self.concave_faces:
+            advice = "cut into triangles, whose diagonals show: make them convex"
+            rows.append(offender_row("concave faces", self.concave_faces, advice))
+        return rows
+
     def as_dict(self) -> dict[str, Any]:
         """The whole report for JSON.
 
@@ -174,6 +191,7 @@ class CageReport:
             offender_row("faces without area", self.degenerate_faces, "remove the face or move its vertices apart"),
             offender_row("vertices at the same place", self.coincident_vertices, "merge them or move them apart"),
             offender_row("intersecting faces", self.intersecting_faces, "move vertices apart: the picture tears there"),
+            *self._polygon_rows(),
             offender_row("unused vertices", self.unused_vertices, "harmless: kept so that poses match one to one"),
         ]
         for what, share in (("mesh vertices", self.mesh_enclosed), ("the visible object", self.field_enclosed)):
@@ -202,6 +220,18 @@ class CageReport:
         rows.append(("usable", usable, f"the cage {problem}" if problem else ""))
         widths = [max(len(row[k]) for row in rows) for k in range(2)]
         return "\n".join(f"{a:<{widths[0]}}  {b:<{widths[1]}}  {c}".rstrip() for a, b, c in rows)
+
+
+def _planarity(cage: ClosedMesh) -> float:
+    """The farthest that a corner of a face lies from the plane that fits it best, over the face's size."""
+    farthest = 0.0
+    for face in () if cage.polygon_faces is None else cage.polygons:
+        points = cage.vertices[list(face)]
+        points = points - points.mean(axis=0)
+        normal = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)  # Newell 1972
+        length = np.linalg.norm(normal) * np.ptp(points, axis=0).max()
+        farthest = max(farthest, float(np.abs(points @ normal).max() / length) if length > 0.0 else 0.0)
+    return farthest
 
 
 def _plain_fields(report: PoseReport | CageReport) -> dict[str, Any]:
@@ -242,13 +272,14 @@ def check_cage(
     field_enclosed = _enclosed(cage, field_points, problem, "field has no visible voxels", outside)
     closed = topology.closed and topology.manifold
     return CageReport(
-        vertex_count=len(cage.vertices), face_count=len(cage.faces), part_count=topology.part_count,
+        vertex_count=len(cage.vertices), face_count=cage.face_count, part_count=topology.part_count,
         genus=topology.genus, volume=cage.volume, size=cage.size, convexity=_convexity(cage),
         open_edges=tuples(topology.open_edges), crowded_edges=tuples(topology.crowded_edges),
         pinched_vertices=tuples(topology.pinched_vertices), clashing_edges=tuples(topology.clashing_edges),
         degenerate_faces=tuples(degenerate_faces(cage)), coincident_vertices=tuples(coincident_vertices(cage)),
         inward_parts=tuples(inward_parts(cage)) if closed else (),
-        intersecting_faces=tuples(intersecting_faces(cage.vertices, cage.faces)),
+        intersecting_faces=tuples(crossing_faces(cage)), planarity=_planarity(cage),
+        concave_faces=() if cage.polygon_faces is None else tuples(cage.polygon_faces.cut),
         unused_vertices=tuples(topology.unused_vertices),
         mesh_enclosed=mesh_enclosed, field_enclosed=field_enclosed,
         leaking_faces=_nearest_faces(cage, outside), hull_ratio=_hull_ratio(cage, objects),
@@ -297,7 +328,7 @@ def _nearest_faces(cage: ClosedMesh, outside: list[np.ndarray], most: int = 500)
     if not len(points):
         return ()
     points = points[:: -(-len(points) // most)]
-    centers = cage.vertices[cage.faces].mean(axis=1)
+    centers = face_middles(cage)
     nearest = np.argmin(((points[:, None] - centers[None]) ** 2).sum(axis=2), axis=1)
     faces, counts = np.unique(nearest, return_counts=True)
     order = np.argsort(-counts, kind="stable")
@@ -352,7 +383,7 @@ def check_pose(rest: ClosedMesh, pose: ClosedMesh) -> PoseReport:
     """Examine a pose of a usable cage: the same mesh, in any order that `Cage.match` takes."""
     pose = rest.with_vertices(matched_vertices(rest, pose))
     problem = first_problem(pose)
-    folds = tuples(intersecting_faces(pose.vertices, pose.faces))
+    folds = tuples(crossing_faces(pose))
     ratio = pose.volume / rest.volume
     if problem:
         return PoseReport(0, ratio, 0.0, 0.0, 0.0, 0.0, folds, problem)

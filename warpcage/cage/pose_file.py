@@ -237,7 +237,7 @@ class PoseFile:
             return
         document = {
             "format": _FORMAT, "version": _VERSION,
-            "cage": {"sha256": cage_hash(self.rest), "faces": self.rest.faces.tolist(),
+            "cage": {"sha256": cage_hash(self.rest), "faces": self.rest.polygons,
                      "vertices": self.rest.vertices.tolist()},
             "keyframes": [
                 {"name": name, "vertices": pose.vertices.tolist(), **self._moment(name)}
@@ -261,7 +261,9 @@ class PoseFile:
         if pathlib.Path(path).suffix.lower() in CACHE_ENDINGS:
             write_vertex_cache(path, frames, rate)
         else:
-            write_shown_mesh(path, self.rest.vertices, self.rest.faces, frames=frames, fps=rate)
+            write_shown_mesh(
+                path, self.rest.vertices, self.rest.faces, polygons=self.rest.polygons, frames=frames, fps=rate
+            )
 
     def _moment(self, name: str) -> dict[str, Any]:
         """What the file holds of a keyframe besides its vertices."""
@@ -355,8 +357,8 @@ def known_easing(name: str, easing: Easing) -> Easing:
 
 def cage_hash(cage: Cage) -> str:
     """sha256 digits of the counts, the faces (little-endian int32) and the vertices (little-endian float64)."""
-    digest = hashlib.sha256(f"{len(cage.vertices)} {len(cage.faces)}\n".encode())
-    digest.update(np.ascontiguousarray(cage.faces, dtype="<i4").tobytes())
+    digest = hashlib.sha256(f"{len(cage.vertices)} {cage.face_count}\n".encode())
+    digest.update(np.ascontiguousarray(cage.face_array, dtype="<i4").tobytes())
     digest.update(np.ascontiguousarray(cage.vertices + 0.0, dtype="<f8").tobytes())
     return digest.hexdigest()
 
@@ -502,7 +504,7 @@ def sequence_poses(
     file = PoseFile(rest)
     for path, number in zip(paths, numbers, strict=True):
         cage = first if path is paths[0] else Cage.load(path, up=standing.up, object=first.object_name or None)
-        if cage.faces.shape != first.faces.shape or not np.array_equal(cage.faces, first.faces):
+        if not np.array_equal(cage.face_array, first.face_array):
             raise InputError(f"cage {str(path)!r} has other faces than {str(paths[0])!r}: one cage moves in a sequence")
         name = pathlib.Path(path).stem
         file[name] = in_order(rest, cage.vertices, order)

@@ -16,12 +16,15 @@ from ..core.names import checked_choice
 from ..errors import InputError
 from ..mesh.faces import column_dot, face_edges
 from ..mesh.mesh import ClosedMesh
-from ..mesh.queries import intersecting_faces
+from ..mesh.queries import crossing_faces
 from ..mesh.validity import first_problem, require_usable, winding_numbers
 from .check import grid_points
 
 #: The kinds of modes, in the order in which their numbers are drawn.
 POSE_MODES = ("bend", "twist", "stretch", "taper", "wave", "bump")
+
+#: Cells along each edge of a face of more than three corners, of the surface that is probed.
+CELLS = 1
 
 #: The ends of paths: radians over the whole length; the ratio of the lengths of a stretch's ends, (1 + s) / (1 - s);
 #: the change of width of a taper; shares of the size for the amplitude of waves and bumps.
@@ -312,18 +315,19 @@ class PoseProbe:
     # section 3). `forward` is linear, so quick: gradients are worked out once. `backward` takes hundredths of a second.
 
     def __init__(self, rest: ClosedMesh, samples: int = SAMPLES):
-        self.rest = rest
+        self.rest, self._surface = rest, rest.refined(CELLS)
+        rest = self._surface
         self._step = DIFFERENCE * rest.size
         self.places = _places(rest, samples)
         self._weights, gradients = mean_value_gradients(self.places, rest, self._step)
         self._gradients = gradients.reshape(-1, len(rest.vertices))
-        self._crossing = {tuple(pair) for pair in intersecting_faces(rest.vertices, rest.faces).tolist()}
+        self._crossing = {tuple(pair) for pair in crossing_faces(rest).tolist()}
 
     def faces(self, posed: ClosedMesh) -> Stretch:
         """How much faces stretch: the singular values of the maps of their planes."""
         # in the frame of a face at rest, u along its first edge, the map takes [u, v] = [[a, b], [0, c]] to [s, t]
-        u, v = face_edges(self.rest)
-        s, t = face_edges(posed)
+        u, v = face_edges(self._surface)
+        s, t = face_edges(posed.refined(CELLS))
         a = np.sqrt(column_dot(u, u))
         b = column_dot(u, v) / a
         c = np.sqrt(column_dot(v - u * (b / a), v - u * (b / a)))
@@ -334,7 +338,7 @@ class PoseProbe:
 
     def forward(self, posed: ClosedMesh) -> Stretch:
         """How much the inside stretches as points are carried along; the least is 0 or less where det J <= 0."""
-        jacobian = (self._gradients @ posed.vertices).reshape(-1, 3, 3)
+        jacobian = (self._gradients @ posed.refined(CELLS).vertices).reshape(-1, 3, 3)
         least, largest = _singular_values(jacobian)
         return Stretch(least, largest)
 
@@ -343,11 +347,12 @@ class PoseProbe:
         The least is 0 where det J <= 0, and where a sample is carried out of the posed cage."""
         if not len(self.places):
             return Stretch(1.0, 1.0)
+        posed = posed.refined(CELLS)
         places = self._weights @ (posed.vertices - posed.vertices[0]) + posed.vertices[0]
         if not _inside(places, posed).all():
             return Stretch(0.0, 1.0)
         _, gradients = mean_value_gradients(places, posed, self._step)
-        least, largest = _singular_values(np.matmul(gradients, self.rest.vertices))
+        least, largest = _singular_values(np.matmul(gradients, self._surface.vertices))
         # 1 over the singular values of the map posed -> rest, at the places where the samples are carried to
         return Stretch(1.0 / largest, 1.0 / least) if least > 0.0 else Stretch(0.0, 1.0)
 
@@ -355,7 +360,7 @@ class PoseProbe:
         """Whether faces cross that do not at rest, or the pose cannot be used."""
         if first_problem(posed):
             return True
-        found = intersecting_faces(posed.vertices, posed.faces).tolist()
+        found = crossing_faces(posed.refined(CELLS)).tolist()
         return any(tuple(pair) not in self._crossing for pair in found)
 
 

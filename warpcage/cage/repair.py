@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ..core.checks import axis_index, checked_number, checked_whole
@@ -10,29 +12,33 @@ from ..errors import InputError
 from ..mesh.mesh import ClosedMesh, MeshTopology
 from ..mesh.validity import coincident_vertices, inward_parts
 
+#: The corners of a face, and of all.
+Face = list[int]
+Faces = list[Face]
 
-def repaired_faces(cage: ClosedMesh, largest_hole: int = 12) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Mended faces (f, 3) and a line for each repair; the cage's own faces and no lines where none was."""
+
+def repaired_faces(cage: ClosedMesh, largest_hole: int = 12) -> tuple[Faces, tuple[str, ...]]:
+    """Mended faces, the corners of each, and a line for each repair; the cage's own and no lines where none was."""
     # In order: faces name one vertex at a place (others stay, unused); faces with a vertex twice or repeated go;
     # neighbours are wound alike; small holes are closed with the least area and no new vertices; parts turn outward.
     # Left for `check`: edges of three faces, crossing faces, wide holes, surfaces with one side only.
     largest_hole = checked_whole(largest_hole, "largest_hole", 3)
-    faces, notes = cage.faces.astype(np.int64), []
+    faces: Faces = [list(face) for face in cage.polygons]
+    notes: list[str] = []
     for step in (_merged, _without_repeats, _wound_alike):
         faces = step(cage.vertices, faces, notes)
-        if not len(faces):
+        if not faces:
             raise InputError("the cage has no face left that encloses anything: begin with another cage")
     faces = _closed(cage.vertices, faces, largest_hole, notes)
     faces = _outward(cage.vertices, faces, notes)
-    return (faces if notes else cage.faces), tuple(notes)
+    return faces, tuple(notes)
 
 
-def _merged(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
+def _merged(vertices: np.ndarray, faces: Faces, notes: list[str]) -> Faces:
     pairs = coincident_vertices(ClosedMesh(vertices, faces))
     if len(pairs):
-        place = np.arange(len(vertices))
-        place[pairs[:, 1]] = pairs[:, 0]
-        faces = place[faces]
+        place = dict(pairs[:, ::-1].tolist())
+        faces = [[place.get(corner, corner) for corner in face] for face in faces]
         notes.append(
             f"merged {counted(len(pairs), 'vertex', 'vertices')} into others at their place, the first "
             f"{pairs[0, 1]} into "
@@ -41,31 +47,46 @@ def _merged(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.nda
     return faces
 
 
-def _without_repeats(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
-    proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    if not proper.all():
+def _without_repeats(vertices: np.ndarray, faces: Faces, notes: list[str]) -> Faces:
+    # what is left of a face of four or more corners that names one twice in a row is a face
+    shorter = [[corner for k, corner in enumerate(face) if corner != face[k - 1]] for face in faces]
+    improper = [k for k, face in enumerate(shorter) if len(set(face)) < len(face) or len(face) < 3]
+    if improper:
         notes.append(
-            f"removed {counted(int(np.count_nonzero(~proper)), 'face')} that "
-            f"{agreed(int(np.count_nonzero(~proper)), 'names', 'name')} a vertex twice, the first "
-            f"{np.flatnonzero(~proper)[0]}"
+            f"removed {counted(len(improper), 'face')} that {agreed(len(improper), 'names', 'name')} a vertex twice, "
+            f"the first {improper[0]}"
         )
-    faces = faces[proper]
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    if len(first) < len(faces):
-        repeated = np.setdiff1d(np.arange(len(faces)), first)
-        notes.append(f"removed {counted(len(repeated), 'face')} on the vertices of another")
-    return faces[np.sort(first)]
+    narrowed = sum(len(new) < len(old) for new, old in zip(shorter, faces, strict=True)) - sum(
+        len(shorter[k]) < len(faces[k]) for k in improper
+    )
+    if narrowed:
+        notes.append(f"took a corner that they named twice out of {counted(narrowed, 'face')}")
+    left = [face for k, face in enumerate(shorter) if k not in set(improper)]
+    first: dict[tuple[int, ...], Face] = {}
+    for face in left:
+        first.setdefault(tuple(sorted(face)), face)
+    if len(first) < len(left):
+        notes.append(f"removed {counted(len(left) - len(first), 'face')} on the vertices of another")
+    return list(first.values())
 
 
-def _wound_alike(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
+def _sides(face: Face) -> Iterator[tuple[int, int]]:
+    """The edges of a face, in its direction."""
+    return zip(face, [*face[1:], face[0]], strict=True)
+
+
+def _topology(vertices: np.ndarray, faces: Faces) -> MeshTopology:
+    return MeshTopology(len(vertices), np.concatenate(faces), np.array([len(face) for face in faces]))
+
+
+def _wound_alike(vertices: np.ndarray, faces: Faces, notes: list[str]) -> Faces:
     """Flip faces until neighbours agree: a walk over each part from its first face."""
-    topology = MeshTopology(len(vertices), faces)
+    topology = _topology(vertices, faces)
     if not len(topology.clashing_edges):
         return faces
     neighbors: dict[tuple[int, int], list] = {}
-    for row, face in enumerate(faces.tolist()):
-        for k in range(3):
-            a, b = face[k], face[(k + 1) % 3]
+    for row, face in enumerate(faces):
+        for a, b in _sides(face):
             neighbors.setdefault((min(a, b), max(a, b)), []).append((row, a < b))
     flip = np.full(len(faces), -1)
     for seed in range(len(faces)):
@@ -73,8 +94,7 @@ def _wound_alike(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> n
             continue
         flip[seed], queue = 0, [seed]
         for row in queue:
-            a, b, c = faces[row].tolist()
-            for edge in ((a, b), (b, c), (c, a)):
+            for edge in _sides(faces[row]):
                 both = neighbors[min(edge), max(edge)]
                 if len(both) != 2:
                     continue
@@ -86,8 +106,8 @@ def _wound_alike(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> n
         rows = topology.parts == part
         if flip[rows].mean() > 0.5:
             flip[rows] ^= 1
-    flipped = np.where(flip[:, None] == 1, faces[:, ::-1], faces)
-    if len(MeshTopology(len(vertices), flipped).clashing_edges) >= len(topology.clashing_edges):
+    flipped = [face[::-1] if turned == 1 else face for face, turned in zip(faces, flip, strict=True)]
+    if len(_topology(vertices, flipped).clashing_edges) >= len(topology.clashing_edges):
         return faces  # a surface with one side
     notes.append(
         f"flipped {counted(int(np.count_nonzero(flip)), 'face')} that "
@@ -97,13 +117,13 @@ def _wound_alike(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> n
     return flipped
 
 
-def _closed(vertices: np.ndarray, faces: np.ndarray, largest_hole: int, notes: list[str]) -> np.ndarray:
-    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    walked = set(zip(start.tolist(), end.tolist(), strict=True))
+def _closed(vertices: np.ndarray, faces: Faces, largest_hole: int, notes: list[str]) -> Faces:
+    walked = {side for face in faces for side in _sides(face)}
     onward = {
         b: a for a, b in walked if (b, a) not in walked
     }  # along the hole, in the direction of faces that close it
     taken = {(min(a, b), max(a, b)) for a, b in walked}
+    faces = list(faces)
     while onward:
         first = min(onward)
         loop = [first]
@@ -117,8 +137,8 @@ def _closed(vertices: np.ndarray, faces: np.ndarray, largest_hole: int, notes: l
         patch = _least_area(vertices, loop, taken)
         if patch is None:
             continue
-        faces = np.concatenate([faces, patch])
-        taken |= {(min(a, b), max(a, b)) for f in patch.tolist() for a, b in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))}
+        faces += patch.tolist()
+        taken |= {(min(a, b), max(a, b)) for face in patch.tolist() for a, b in _sides(face)}
         notes.append(f"closed a hole of {len(loop)} edges at vertex {first} with {counted(len(patch), 'face')}")
     return faces
 
@@ -150,7 +170,7 @@ def _least_area(vertices: np.ndarray, loop: list[int], taken: set[tuple[int, int
     return np.array(found)
 
 
-def _outward(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
+def _outward(vertices: np.ndarray, faces: Faces, notes: list[str]) -> Faces:
     cage = ClosedMesh(vertices, faces)
     topology = cage.topology
     if not (topology.closed and topology.manifold) or len(topology.clashing_edges):
@@ -159,20 +179,48 @@ def _outward(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.nd
     inward = inward[cage.part_volumes()[inward] < 0.0]
     if not len(inward):
         return faces
-    if cage.volume < 0.0 and not len(inward_parts(ClosedMesh(vertices, faces[:, ::-1]))):  # cavities and all
+    turned = [face[::-1] for face in faces]
+    if cage.volume < 0.0 and not len(inward_parts(ClosedMesh(vertices, turned))):  # cavities and all
         notes.append(f"flipped all {len(faces)} faces: the cage looked inward")
-        return faces[:, ::-1]
+        return turned
     rows = np.isin(topology.parts, inward)
     notes.append(f"flipped the {np.count_nonzero(rows)} faces of {counted(len(inward), 'part')} that looked inward")
-    return np.where(rows[:, None], faces[:, ::-1], faces)
+    return [back if row else face for face, back, row in zip(faces, turned, rows, strict=True)]
 
 
-def subdivided(cage: ClosedMesh, times: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Every face cut in four at the middles of its edges, 1 to 4 times; vertices (v, 3) begin with the cage's."""
-    vertices, faces = cage.vertices, cage.faces.astype(np.int64)
-    for _ in range(checked_whole(times, "times", 1, 4)):
-        vertices, faces = cut_in_four(vertices, faces)
-    return vertices, faces
+def subdivided(cage: ClosedMesh, times: int = 1) -> tuple[np.ndarray, np.ndarray | Faces]:
+    """Every face cut at the middles of its edges, 1 to 4 times: triangles in four, others in as many as they have
+    corners, around their middle. Vertices (v, 3) begin with the cage's; faces as a ClosedMesh takes them."""
+    times = checked_whole(times, "times", 1, 4)
+    for _ in range(times):
+        if cage.polygon_faces is None:
+            vertices, faces = cut_in_four(cage.vertices, cage.faces.astype(np.int64))
+        else:
+            vertices, faces = _cut_at_middles(cage)
+        cage = ClosedMesh(vertices, faces)
+    return cage.vertices, cage.face_array
+
+
+def _cut_at_middles(cage: ClosedMesh) -> tuple[np.ndarray, Faces]:
+    """Faces with the middles of edges and, of those of more than three corners, of faces as further vertices."""
+    polygons = cage.polygon_faces
+    assert polygons is not None
+    if len(polygons.cut):  # what is solved on them as triangles is cut as these are
+        whole = [list(face) for k, face in enumerate(cage.polygons) if k not in set(polygons.cut.tolist())]
+        cuts = polygons.triangles[np.isin(polygons.triangle_owner, polygons.cut)].tolist()
+        cage = ClosedMesh(cage.vertices, [*whole, *cuts])
+    number = {tuple(edge): len(cage.vertices) + k for k, edge in enumerate(cage.edges.tolist())}
+    vertices, faces, middles = [cage.vertices, cage.vertices[cage.edges].mean(axis=1)], [], []
+    first = len(cage.vertices) + len(cage.edges)
+    for face in cage.polygons:
+        after = [number[min(a, b), max(a, b)] for a, b in _sides(list(face))]
+        before = [after[-1], *after[:-1]]
+        if len(face) == 3:
+            faces += [list(each) for each in zip(face, after, before, strict=True)] + [after]
+            continue
+        faces += [[corner, b, first + len(middles), a] for corner, b, a in zip(face, after, before, strict=True)]
+        middles.append(cage.vertices[list(face)].mean(axis=0))
+    return np.concatenate([*vertices, np.array(middles).reshape(-1, 3)]), faces
 
 
 def cut_in_four(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..core.checks import checked_positive
 from ..field.voxel_field import VoxelField
+from ..mesh.patches import normals_of, vertices_of
 from .cage import Cage
 from .walls import MIN_SAMPLES, face_samples, in_matter, wall_groups
 
@@ -22,12 +23,12 @@ def snap_to_gaps(cage: Cage, field: VoxelField, reach: float) -> Cage:
     # At a gap a part takes all of itself along. Walls that cut nothing stay; those not flat move face by face.
     reach = checked_positive(reach, "reach")
     cage.require_usable("the cage to snap")
-    walls = wall_groups(cage, np.arange(len(cage.faces)), WALL_ANGLE)
+    walls = wall_groups(cage, np.arange(cage.face_count), WALL_ANGLE)
     shifts = np.array([wall_shift(cage, wall, field, reach) for wall in walls])
     normals = np.stack([wall_normal(cage, wall) for wall in walls])
     around: list[list[int]] = [[] for _ in cage.vertices]
     for number, wall in enumerate(walls):
-        for vertex in np.unique(cage.faces[wall]):
+        for vertex in vertices_of(cage, wall):
             around[vertex].append(number)
     moved = cage.vertices.copy()
     for vertex, numbers in enumerate(around):
@@ -40,7 +41,7 @@ def snap_to_gaps(cage: Cage, field: VoxelField, reach: float) -> Cage:
 
 def wall_shift(cage: Cage, wall: np.ndarray, field: VoxelField, reach: float) -> float:
     """How far a wall (k,) of faces moves along its normal: to the nearest of the places that cut least matter."""
-    points, _ = face_samples(Cage(cage.vertices, cage.faces[wall]), float(field.voxel_size.min()))
+    points, _ = face_samples(cage, wall, float(field.voxel_size.min()))
     step = 0.5 * float(field.voxel_size.min())
     places = step * np.arange(-int(reach / step), int(reach / step) + 1)
     places = places[np.argsort(np.abs(places), kind="stable")]
@@ -54,12 +55,11 @@ def wall_shift(cage: Cage, wall: np.ndarray, field: VoxelField, reach: float) ->
 
 def wall_normal(cage: Cage, wall: np.ndarray) -> np.ndarray:
     """(3,) unit normal of a wall, outward: the mean of its faces' by area."""
-    a, b, c = cage.vertices[cage.faces[wall]].transpose(1, 0, 2)
-    normal = np.cross(b - a, c - a).sum(axis=0)
+    normal = normals_of(cage, wall).sum(axis=0)
     return normal / np.linalg.norm(normal)
 
 
 def cut_matter(cage: Cage, field: VoxelField) -> int:
     """How much matter the walls of a cage cut, in samples, one a voxel."""
-    points, _ = face_samples(cage, float(field.voxel_size.min()))
+    points, _ = face_samples(cage, np.arange(cage.face_count), float(field.voxel_size.min()))
     return int(in_matter(field, points).sum())

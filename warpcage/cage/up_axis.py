@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.files import PathLike
 from ..errors import InputError
-from ..mesh.io import UPS, file_up, read_object, turned_up
+from ..mesh.io import UPS, Faces, file_up, read_object, turned_up
 from ..mesh.match import matched_vertices
 from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import inside_mesh
@@ -68,7 +68,7 @@ class UpAxis:
 
 
 def load_standing(
-    make: Callable[[np.ndarray, np.ndarray], Mesh],
+    make: Callable[[np.ndarray, Faces], Mesh],
     path: PathLike,
     *,
     up: str | None = None,
@@ -86,7 +86,7 @@ def load_standing(
     file = read_object(path, chosen, object, fits, "" if rest is None else rest.object_name)
     path = file.path
     try:
-        cage, standing = make(file.vertices, file.faces).named(file.name), UpAxis(chosen)
+        cage, standing = make(file.vertices, file.as_came).named(file.name), UpAxis(chosen)
         if reference is not None:
             given = up is not None
             if isinstance(reference, ClosedMesh):
@@ -100,7 +100,7 @@ def load_standing(
     return restood(cage, chosen, standing.up), standing
 
 
-def is_pose(rest: ClosedMesh, vertices: np.ndarray, faces: np.ndarray) -> bool:
+def is_pose(rest: ClosedMesh, vertices: np.ndarray, faces: Faces) -> bool:
     """Whether a mesh is a pose of a cage."""
     try:
         matched_vertices(rest, ClosedMesh(vertices, faces))
@@ -114,7 +114,7 @@ def standing_of_rest(cage: ClosedMesh, up: str, scene_object: object, *, given: 
     An axis that the user gave is kept; a cage that cannot be used, or an object that shows nothing, is as expected."""
     if first_problem(cage):
         return UpAxis(up)
-    points = object_points(scene_object, count=max(_MIN_POINTS, min(_MAX_POINTS, _WORK // len(cage.faces))))
+    points = object_points(scene_object, count=max(_MIN_POINTS, min(_MAX_POINTS, _WORK // len(cage.surface.faces))))
     if not len(points):
         return UpAxis(up)
     here, other = _share_inside(cage, points), _other(up)

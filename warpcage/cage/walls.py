@@ -7,6 +7,7 @@ import numpy as np
 from ..field.surface import half_opaque_density
 from ..field.voxel_field import VoxelField
 from ..mesh.mesh import connected_parts
+from ..mesh.patches import edges_of, normals_of, triangles_of
 from .cage import Cage
 
 #: Samples of a face, one a voxel, that must lie in matter for it to cut matter: less is a speck of a fit.
@@ -21,12 +22,10 @@ def wall_groups(cage: Cage, faces: np.ndarray, angle: float) -> list[np.ndarray]
     faces = np.asarray(faces, dtype=np.int64)
     if not len(faces):
         return []
-    corners, rows = cage.vertices[cage.faces[faces]], cage.faces[faces].astype(np.int64)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    start, end, owner = edges_of(cage, faces)
+    normals = normals_of(cage, faces)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    edges = np.sort(np.stack([rows[:, [0, 1]], rows[:, [1, 2]], rows[:, [2, 0]]], axis=1))
-    keys = (edges[..., 0] * len(cage.vertices) + edges[..., 1]).reshape(-1)
-    owner = np.repeat(np.arange(len(faces)), 3)
+    keys = np.minimum(start, end) * len(cage.vertices) + np.maximum(start, end)
     order = np.argsort(keys, kind="stable")
     same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
     one, two = owner[order[same]], owner[order[same + 1]]
@@ -37,8 +36,8 @@ def wall_groups(cage: Cage, faces: np.ndarray, angle: float) -> list[np.ndarray]
 
 def cut_faces(cage: Cage, field: VoxelField) -> np.ndarray:
     """The faces (k,) of a cage, ascending, that cut the matter of a field: what is half opaque across two voxels."""
-    points, owner = face_samples(cage, float(field.voxel_size.min()))
-    counts = np.bincount(owner[in_matter(field, points)], minlength=len(cage.faces))
+    points, owner = face_samples(cage, np.arange(cage.face_count), float(field.voxel_size.min()))
+    counts = np.bincount(owner[in_matter(field, points)], minlength=cage.face_count)
     return np.flatnonzero(counts >= MIN_SAMPLES)
 
 
@@ -51,10 +50,11 @@ def in_matter(field: VoxelField, points: np.ndarray) -> np.ndarray:
     return found
 
 
-def face_samples(cage: Cage, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) spread evenly over a cage's faces, about `spacing` apart, world units, and their faces (n,)."""
+def face_samples(cage: Cage, faces: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) spread evenly over some faces (k,) of a cage, about `spacing` apart, world units, and which of the
+    faces each is on, (n,)."""
     points, owner = [], []
-    for number, (a, b, c) in enumerate(cage.vertices[cage.faces]):
+    for (a, b, c), number in zip(*triangles_of(cage, faces), strict=True):
         longest = max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b))
         count = int(np.clip(np.ceil(longest / spacing), 2, MAX_SAMPLES_A_SIDE))
         u, v = (np.indices((count, count)).reshape(2, -1) + 0.5) / count

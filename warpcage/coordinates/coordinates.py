@@ -35,9 +35,10 @@ from ..kernels.coordinates import local_points
 from ..kernels.lattice import cage_map
 from ..lattice.position_map import PositionMap
 from ..mesh import faces as face_geometry
-from ..mesh.match import posed_mesh, require_same_faces
+from ..mesh.match import posed_mesh, require_same_faces, with_faces_of
 from ..mesh.mesh import ClosedMesh, prepared_fans, require_mesh
 from ..mesh.queries import SURFACE_TOLERANCE, inside_mesh
+from ..mesh.surface import merge_rows
 from ..mesh.validity import require_usable, size_problem
 from .harmonic import HARMONIC_RESOLUTION, harmonic_weights
 
@@ -256,6 +257,7 @@ def deform_points(
     deformed = posed_mesh(rest, deformed, "the deformed cage must be")
     if deformed.size > rest.size and (problem := size_problem(deformed)):
         raise InputError(f"deformed cage {problem}")
+    rest, deformed = (cage.refined(kind.face_cells) for cage in (rest, deformed))
     move_points = kind.load("move_points")
     return move_points(kind, _localise(points, rest, device), rest, deformed, _way_outside(outside, kind))
 
@@ -288,7 +290,10 @@ def move_in_closed_form(
 def stretched_normals(source: ClosedMesh, target: ClosedMesh) -> np.ndarray:
     """Unit normals of a deformed cage's faces times how much each face is stretched, (f, 3) float64.
     Zero for a target face without area, which has no normal. Green face weights of `source` multiply them."""
+    # faces are the triangles that Green coordinates are computed on
     require_same_faces(source, target)
+    cells = COORDINATE_KINDS["green"].face_cells
+    source, target = source.refined(cells), with_faces_of(source, target).refined(cells)
     return face_geometry.stretched_normals(source, face_geometry.StretchTarget.of(target)).T
 
 
@@ -347,12 +352,16 @@ def _weigh(
     kind: CoordinateKind, points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike, outside: str
 ) -> list[wp.array]:
     """Weights of vertices (n, v), and of faces (n, f) in world units where there are any, by a closed form."""
-    local, lost = _checked_points(kind, points, cage, device, outside)
+    local, lost, cage = _checked_points(kind, points, cage, device, outside)
     columns = [len(cage.vertices)] + [len(cage.faces)] * kind.has_face_weights
-    _require_room(local, sum(columns))
+    _require_room(local, sum(columns) + (0 if cage.operator is None else cage.own_count))
     weights = [empty_array((local.count, count), wp.float32, local.device) for count in columns]
     inputs = [local.points, *_cage_arrays(cage, local), 1.0]
     launch(kind.load("weigh_points"), local.count, inputs, weights, device=local.device, work=len(cage.faces))
+    if cage.operator is not None:
+        merged = empty_array((local.count, cage.own_count), wp.float32, local.device)
+        merge_rows(weights[0].transpose([1, 0]), cage.operator, merged.transpose([1, 0]))
+        weights[0] = merged
     for lengths in weights[1:]:
         launch(local_points.scale_rows, local.count, [cage.size], [lengths], device=local.device)
     if len(lost):
@@ -363,13 +372,13 @@ def _weigh(
 
 def _checked_points(
     kind: CoordinateKind, points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike, outside: str
-) -> tuple[_Local, np.ndarray]:
-    """Points in the frame of a usable cage, and the rows that have no coordinates."""
+) -> tuple[_Local, np.ndarray, ClosedMesh]:
+    """Points in the frame of a usable cage, the rows that have no coordinates, and the cage's surface."""
     require_mesh(cage, "the cage must be")
     require_usable(cage)
-    outside = _way_outside(outside, kind)
+    outside, cage = _way_outside(outside, kind), cage.refined(kind.face_cells)
     local = _localise(points, cage, device)
-    return local, _lost_rows(local, cage, kind, outside)
+    return local, _lost_rows(local, cage, kind, outside), cage
 
 
 @points_in_turn
@@ -435,10 +444,10 @@ def harmonic_coordinates(
             resolution out of range, too little memory on the device, and for another `outside`.
         Cancelled: Where `progress` returned False.
     """
-    local, lost = _checked_points(COORDINATE_KINDS["harmonic"], points, cage, device, outside)
+    local, lost, cage = _checked_points(COORDINATE_KINDS["harmonic"], points, cage, device, outside)
     if not len(lost):
         return harmonic_weights(points, cage, resolution, local.device, progress=progress)
-    weights = np.full((local.count, len(cage.vertices)), np.nan, np.float32)
+    weights = np.full((local.count, cage.own_count), np.nan, np.float32)
     held = np.delete(np.arange(local.count), lost)
     weights[held] = harmonic_weights(local.world[held], cage, resolution, local.device, progress=progress)
     return as_given(wp.array(weights, device=local.device), points)

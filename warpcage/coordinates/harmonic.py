@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..coordinate_kinds import COORDINATE_KINDS
 from ..core.arrays import PointsLike, WarpStruct, as_given, as_host_points, empty_array, points_device, points_in_turn
 from ..core.checks import warn_caller
 from ..core.devices import launch
@@ -47,6 +48,7 @@ def harmonic_weights(
     device = points_device(points, device)
     resolution = require_resolution(resolution)
     require_usable(cage)
+    cage = cage.refined(COORDINATE_KINDS["harmonic"].face_cells)
     host = as_host_points(points)
     outside = np.flatnonzero(~np.asarray(inside_mesh(host, cage, device=device)))  # inside: up to 1e-5 of its size out
     if len(outside):
@@ -56,7 +58,7 @@ def harmonic_weights(
             f"the first is row {first} at "
             f"{host[first].tolist()}: harmonic coordinates are defined inside only"
         )
-    vertex_count = len(cage.vertices)
+    vertex_count = cage.own_count
     require_memory(
         4 * len(host) * (vertex_count + 3) + 40 * (resolution + 8) ** 3,
         device,
@@ -80,8 +82,8 @@ def weight_maps(
     tolerance: float = 1e-5,
     progress: bool | Progress = False,
 ) -> Iterator[tuple[int, WarpStruct, wp.array, float]]:
-    """For three vertices of a cage at a time: the index of the first, the CageMap of their harmonic weights in node
-    units, points (n, 3) in these, and the spacing of nodes in sizes of the cage."""
+    """For three vertices at a time, of the mesh that a surface is of: the index of the first, the CageMap of their
+    harmonic weights in node units, points (n, 3) in these, and the spacing of nodes in sizes of the cage."""
     center = cage.bounds.mean(axis=0)  # size one about the origin: weights do not depend on units
     local = cage.with_vertices((cage.vertices - center) / cage.size)
     lattice = CageLattice(local, resolution, device=device)

@@ -25,7 +25,7 @@ from ..core.names import (
     require_store,
 )
 from ..core.reports import Progress
-from ..edits.edits import CageEdit
+from ..edits.edits import CageEdit, refined_edit
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import found_fragments
 from ..edits.maps import EditLattices
@@ -86,6 +86,8 @@ class Backend(abc.ABC, Generic[FieldT, EditsT]):
 
     def __init__(self, field: FieldT, edits: list[CageEdit], options: MapOptions, progress: bool | Progress = False):
         self.field, self.edits, self.device, self.options = field, edits, field.device, options
+        self._cells = coordinate_kind(options.coordinates).face_cells
+        self.surfaces = [refined_edit(edit, self._cells) for edit in edits]  # which are computed on
         self._held: Cages | None = None  # the pose that is in the buffers
         self._spans: list[float] = []  # of its cages
         self._order = StreamOrder(self.device)
@@ -111,9 +113,13 @@ class Backend(abc.ABC, Generic[FieldT, EditsT]):
         self._order.follow()  # poses and frames of other streams share the buffers
         if self._held is not cages:
             self._held = None
-            self.posed.pose(cages)
+            self.posed.pose([self.surface(cage) for cage in cages])
             self._held, self._spans = cages, [cage_span(cage) for cage in cages]
         return self.posed
+
+    def surface(self, cage: Cage | None) -> Cage | None:
+        """The triangles of a posed cage that are computed on."""
+        return None if cage is None else cage.refined(self._cells)
 
     @classmethod
     def check_view(cls, options: RenderOptions) -> None:
@@ -192,9 +198,9 @@ class VoxelBackend(LookupBackend[VoxelField]):
     kind, masks = VoxelField, MASK_NAMES
 
     def _make_edits(self, progress: bool | Progress) -> PosedEdits:
-        field, edits, options = self.field, self.edits, self.options
+        field, edits, options = self.field, self.surfaces, self.options
         origin, device, coordinates = field.center, field.device, options.coordinates
-        self.bands = [FalloffBand(edit, field) if edit.falloff > 0.0 else None for edit in edits]
+        self.bands = [FalloffBand(edit, field) if edit.falloff > 0.0 else None for edit in self.edits]
         self._carried = [found_fragments(edit, field, index) for index, edit in enumerate(edits)]
         if options.resolution is None:
             return ExactEdits(edits, coordinates, origin, device, self.bands, self._carried)
@@ -220,7 +226,7 @@ class SampledBackend(LookupBackend[SampledField]):
     kind = SampledField
 
     def _make_edits(self, progress: bool | Progress) -> PosedEdits:
-        edits, options, origin, device = self.edits, self.options, self.field.center, self.device
+        edits, options, origin, device = self.surfaces, self.options, self.field.center, self.device
         if any(edit.falloff > 0.0 or edit.fragments > 0.0 for edit in edits):
             raise InputError("falloff and fragments of an edit are for voxels, not for a SampledField")
         if options.resolution is None:
@@ -241,10 +247,10 @@ class SplatBackend(Backend[SplatField, SplatEdits]):
     kind = SplatField
 
     def _make_edits(self, progress: bool | Progress) -> SplatEdits:
-        field, edits, options = self.field, self.edits, self.options
+        field, edits, options = self.field, self.surfaces, self.options
         if any(edit.fragments > 0.0 for edit in edits):
             raise InputError("fragments are for voxels: splats of a part that hang over its wall go by their shares")
-        self.bands = [splat_band(field, edit) if edit.falloff > 0.0 else None for edit in edits]
+        self.bands = [splat_band(field, edit) if edit.falloff > 0.0 else None for edit in self.edits]
         law = chosen(options.density, "density", opacity=LAW_RAYS, paper=LAW_DENSITY)
         lattices = options.coordinates, options.resolution
         return SplatEdits(field, edits, *lattices, law, options.map == "backward", self.bands, progress)
@@ -327,7 +333,7 @@ class MeshBackend(Backend[SurfaceMesh, MeshEdits]):
     def _make_edits(self, progress: bool | Progress) -> MeshEdits:
         if any(edit.falloff > 0.0 or edit.fragments > 0.0 for edit in self.edits):
             raise InputError("falloff and fragments of an edit are for fields: a vertex of a mesh goes with its cage")
-        return MeshEdits(self.field, self.edits, self.options.coordinates)
+        return MeshEdits(self.field, self.surfaces, self.options.coordinates)
 
     @classmethod
     def check(cls, options: MapOptions) -> None:

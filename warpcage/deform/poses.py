@@ -21,7 +21,7 @@ from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..kernels.edits.structs import MAPPED
 from ..kernels.render import samples
-from ..mesh.match import require_same_faces
+from ..mesh.match import require_same_faces, with_faces_of
 from ..mesh.validity import require_usable
 from ..render.sampled import SampledField
 from ..render.view import PosedEdits
@@ -52,6 +52,7 @@ def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None
         return None
     cage = posed_cage(edit.cage, cage, f"the pose of edit {index} must be")
     require_same_faces(edit.cage, cage)
+    cage = with_faces_of(edit.cage, cage)
     if band is None:
         return cage
     require_usable(cage, "the deformed cage")

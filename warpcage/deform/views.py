@@ -203,7 +203,7 @@ def _moved_cages(backend: AnyBackend, cages: Sequence[Cage | None]) -> list[Any]
     """The MovedCage of each edit in a pose."""
     center, device = backend.field.center, backend.device
     structs = []
-    for edit, cage in zip(backend.edits, cages, strict=True):
+    for edit, cage in zip(backend.surfaces, map(backend.surface, cages), strict=True):
         struct, rest = MovedCage(), edit.cage
         if cage is not None:
             struct.vertices, struct.targets = (local_points(each.vertices, center, device) for each in (rest, cage))

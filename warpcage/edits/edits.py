@@ -73,7 +73,13 @@ class CageEdit:
         object.__setattr__(self, "fragments", checked_number(self.fragments, "the fragments of an edit"))
         if self.fragments < 0.0:
             raise InputError(f"the fragments of an edit must be a size, 0 or more, got {self.fragments}")
-        object.__setattr__(self, "held", checked_walls(self.held, len(self.cage.faces)))
+        object.__setattr__(self, "held", checked_walls(self.held, self.cage.face_count))
+
+
+def refined_edit(edit: CageEdit, cells: int) -> CageEdit:
+    """An edit by the triangles of its cage that are computed on; see `ClosedMesh.refined`."""
+    cage = edit.cage.refined(cells)
+    return edit if cage is edit.cage else dataclasses.replace(edit, cage=cage)
 
 
 def checked_walls(held: Any, face_count: int) -> str | tuple[int, ...]:

@@ -20,6 +20,7 @@ from ..kernels.edits.structs import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh.triangle import Walls
 from ..lattice.position_map import PositionMap
+from ..mesh.patches import faces_within, triangles_of, vertices_of
 from .edits import CageEdit
 
 #: Vertices nearer to rest than this share of the cage's size are in place.
@@ -54,7 +55,7 @@ class FalloffBand:
         faces = self.held_faces(posed)
         rest = self._cage.vertices
         share = walls_share(rest, wall_corners(self._cage, faces), self._width)
-        share[np.unique(self._cage.faces[faces])] = 0.0
+        share[vertices_of(self._cage, faces)] = 0.0
         moved = rest + share[:, None] * (posed.vertices - rest)
         return posed.with_vertices(np.where(share[:, None] < 1.0, moved, posed.vertices))
 
@@ -145,11 +146,13 @@ def triangle_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def wall_corners(cage: Cage, faces: np.ndarray) -> list[np.ndarray]:
-    """Faces (k,) of a cage as walls, sets that meet at less than WALL_ANGLE: (m, 3, 3) corners of each, world units."""
-    return [cage.vertices[cage.faces[wall]] for wall in wall_groups(cage, faces, WALL_ANGLE)]
+    """Faces (k,) of a cage as walls, sets that meet at less than WALL_ANGLE: the corners (m, 3, 3), world units, of the
+    triangles of each."""
+    return [triangles_of(cage, wall)[0] for wall in wall_groups(cage, faces, WALL_ANGLE)]
 
 
 def still_faces(rest: Cage, posed: Cage) -> np.ndarray:
     """(k,) the faces whose vertices a pose leaves in place."""
-    moved = np.linalg.norm(posed.vertices - rest.vertices, axis=1) > STILL * rest.size
-    return np.flatnonzero(~moved[rest.faces].any(axis=1))
+    # of the surface of a pose, the vertices of its cage come first
+    moved = np.linalg.norm(posed.vertices[: len(rest.vertices)] - rest.vertices, axis=1) > STILL * rest.size
+    return faces_within(rest, ~moved)

@@ -16,7 +16,7 @@ from ..core.arrays import empty_array
 from ..core.checks import warn_caller
 from ..core.devices import RecordedLaunches, launch
 from ..core.modules import load_modules
-from ..core.names import FIELD_COORDINATES
+from ..core.names import FIELD_COORDINATES, coordinate_kind
 from ..errors import InputError
 from ..field.sparse import spread_along
 from ..kernels.edits import cell_tables, extension
@@ -52,7 +52,8 @@ def carried_points(
     for edit, pose in zip(edits, poses, strict=True):
         if pose is None or np.array_equal(pose.vertices, edit.cage.vertices):
             continue
-        inside = edit.cage.contains(places, device=device)
+        surface = edit.cage.refined(coordinate_kind(coordinates).face_cells)
+        inside = surface.contains(places, device=device)
         if inside.any():
             places[inside] = deform_points(places[inside], edit.cage, pose, coordinates, device=device)
     return places

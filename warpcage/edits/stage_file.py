@@ -77,7 +77,7 @@ def deformation_json(
     """The options of a Deformer, its edits and their poses, as the file has them."""
     specs = []
     for edit, posed in zip(edits, poses, strict=True):
-        cage = {"vertices": edit.cage.vertices.tolist(), "faces": edit.cage.faces.tolist()}
+        cage = {"vertices": edit.cage.vertices.tolist(), "faces": [list(face) for face in edit.cage.polygons]}
         specs.append(edit_spec(edit, cage, None if posed is None else posed.vertices.tolist()))
     return {**options, "edits": [each.to_json() for each in specs]}
 

@@ -16,6 +16,7 @@ from ..kernels.lattice.corrections import correct_values, measure_corrections
 from ..kernels.lattice.nodes import RINGS
 from ..mesh.faces import StretchTarget
 from ..mesh.mesh import ClosedMesh, prepared_fans
+from ..mesh.surface import merge_rows
 from .gaps import MapTarget
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes, continue_outwards, continue_through_cage
@@ -70,6 +71,11 @@ class ClosedFormSolver(MapSolver):
         weights = [empty_array((points.size, count), wp.float32, self.device) for count in columns]
         inputs = [points, self._vertices, faces, self._size]
         self._launch(self._kind.load("weigh_points"), points.size, inputs, weights, all_faces=True)
+        cage = self.lattice.cage
+        if cage.operator is not None:
+            merged = empty_array((points.size, cage.own_count), wp.float32, self.device)
+            merge_rows(weights[0].transpose([1, 0]), cage.operator, merged.transpose([1, 0]))
+            weights[0] = merged
         return [(0, weights[0], weights[1] if self._kind.has_face_weights else None)]
 
     @abstractmethod

@@ -113,7 +113,7 @@ class HarmonicSolver(MapSolver):
     def weigh(self) -> list[WeightBlock]:
         """The weights (m, v) of all inside nodes in one block; three vertices take one solution."""
         count = self.nodes.sections.finest_inside
-        weights = empty_array((count, self.lattice.vertices.size), wp.float32, self.device)
+        weights = empty_array((count, self.lattice.cage.own_count), wp.float32, self.device)
         for column, _ in self.solve_vertices():
             self._launch(store_weights, count, [0, column, self.nodes.levels, self.values, weights])
         return [(0, weights, None)]
@@ -121,12 +121,15 @@ class HarmonicSolver(MapSolver):
     def solve_vertices(self, progress: bool | Progress = False) -> Iterator[tuple[int, wp.array]]:
         """Solve for the weights of all cage vertices at inside nodes, three at a time; yields the index of the first
         and their boundary values (v,) vec3. Afterwards cycles and residual are the largest of all."""
-        count = self.lattice.vertices.size
-        selected = empty_array(count, wp.vec3, self.device)
+        count, operator = self.lattice.cage.own_count, self.lattice.cage.operator
+        selected = empty_array(self.lattice.vertices.size, wp.vec3, self.device)
         cycles, residual = 0, 0.0
         for column in range(0, count, 3):
             report_progress(progress, column, count, "harmonic weights")
-            self._launch(select_vertices, count, [column, selected])
+            if operator is None:
+                self._launch(select_vertices, count, [column, selected])
+            else:
+                selected.assign(operator @ np.eye(count, 3, -column, dtype=np.float32))
             self.solve_inside(selected)
             cycles, residual = max(cycles, self.cycles), max(residual, self.residual)
             yield column, selected

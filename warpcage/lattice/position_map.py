@@ -17,7 +17,7 @@ from ..core.threads import owner_lock
 from ..errors import InputError
 from ..kernels.lattice.cage_map import CageMap
 from ..mesh.faces import face_area
-from ..mesh.match import posed_mesh, require_same_faces
+from ..mesh.match import posed_mesh, require_same_faces, with_faces_of
 from ..mesh.mesh import ClosedMesh, require_mesh
 from ..mesh.validity import require_usable
 from .gaps import REPORTED_JUMP, MapTarget, lattice_side_bytes, side_bytes
@@ -106,6 +106,7 @@ class PositionMap(HeldOnDevice):
         require_mesh(rest, "the rest cage must be")
         require_usable(rest, "rest cage")
         self.rest = rest
+        self._surface = rest.refined(self._kind.face_cells)
         self.resolution = require_resolution(resolution)
         self.tolerance = require_tolerance(tolerance)
         self.device = resolve_device(device)
@@ -159,7 +160,11 @@ class PositionMap(HeldOnDevice):
         Raises:
             ValueError: As `pose`, for what is known before the work.
         """
-        deformed = posed_mesh(self.rest, deformed, "a pose must be")
+        deformed = posed_mesh(self.rest, deformed, "a pose must be").refined(self._kind.face_cells)
+        return self._begin(deformed)
+
+    def _begin(self, deformed: ClosedMesh) -> WarpStruct | None:
+        """Start on a pose of the surface; see `begin`."""
         if deformed.size == 0.0:  # no lattice at all
             require_usable(deformed, "deformed cage")
         with self.lock:
@@ -188,7 +193,8 @@ class PositionMap(HeldOnDevice):
             except ValueError:
                 self._let_go()
                 if self._data is None and begun.last is not None:
-                    self.pose(begun.last)
+                    self._begin(begun.last)
+                    self.finish()
                 raise
             has_room = begun.draft is not None and graph is not None and graph.finish()
             self._begun, self._is_at_work = None, False
@@ -248,7 +254,7 @@ class PositionMap(HeldOnDevice):
             return self.launches
         self.lattice = CageLattice(deformed, self.resolution, origin=self.origin, device=self.device)
         constants = self.lattice.map_constants
-        target = MapTarget(self.rest, constants.affine.array, constants.vertex_values.array)
+        target = MapTarget(self._surface, constants.affine.array, constants.vertex_values.array)
         self.launches = PoseLaunches(self._new_solver(self.lattice), target)
         if self.store == "map" and PoseGraph.is_supported(self.device):
             self._graph = PoseGraph(self.launches)
@@ -286,10 +292,11 @@ class PositionMap(HeldOnDevice):
             raise InputError('rebind needs the weights: make the PositionMap with store="weights"')
         require_usable(rest, "rest cage")
         with self.lock:
-            launches, lattice = self._posed()
-            require_same_faces(rest, lattice.cage)
+            launches, _ = self._posed()
+            require_same_faces(rest, self.rest)
+            self._surface = with_faces_of(self.rest, rest).refined(self._kind.face_cells)
             self.rest = rest
-            launches.target = MapTarget(rest, launches.target.affine, launches.target.vertex_values)
+            launches.target = MapTarget(self._surface, launches.target.affine, launches.target.vertex_values)
             self._data = None  # what is in the buffers goes
             self._map_positions(launches)
         return self
@@ -341,7 +348,7 @@ class PositionMap(HeldOnDevice):
         Raises:
             ValueError: For a cage too far from `origin`.
         """
-        deformed = self.rest if deformed is None else deformed
+        deformed = (self.rest if deformed is None else deformed).refined(self._kind.face_cells)
         shape, _, spacing = lattice_frame(deformed, self.resolution, self.origin)
         nx, ny, nz = shape
         nodes, lines = nx * ny * nz, nx * ny + ny * nz + nx * nz
@@ -374,7 +381,7 @@ class PositionMap(HeldOnDevice):
 
     def _write_values(self, lattice: CageLattice) -> None:
         """The residual of the map, and its affine part, to the lattice's map_constants; still to be sent."""
-        deformed, rest = lattice.cage, self.rest
+        deformed, rest = lattice.cage, self._surface
         matrix, offset = fit_affine(deformed, rest)
         constants = lattice.map_constants
         constants.vertex_values.host[:] = (rest.vertices - (deformed.vertices @ matrix.T + offset)) / rest.size

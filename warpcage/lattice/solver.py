@@ -116,13 +116,14 @@ class LatticeWeights(HeldOnDevice):
 
     def __init__(self, solver: MapSolver):
         self._solver = solver
-        self.blocks = solver.weigh()  # (first list entry, vertex_weights (m, v), face_weights (m, f) or None)
+        # (first list entry, vertex_weights (m, v), face_weights (m, f) or None), v: those that the surface follows from
+        self.blocks = solver.weigh()
 
     @staticmethod
     def row_bytes(coordinates: str, cage: ClosedMesh) -> int:
         """Bytes on the device of the weights of one node."""
         faces = coordinate_kind(coordinates).has_face_weights * len(cage.faces)
-        return 4 * (len(cage.vertices) + faces)
+        return 4 * (cage.own_count + faces)
 
     def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:
         """Launch the solver's solution, from the weights: values at inside nodes and the rings around them."""
@@ -132,6 +133,6 @@ class LatticeWeights(HeldOnDevice):
         for begin, *parts in self.blocks:
             for weights, values in zip(parts, factors, strict=False):
                 assert weights is not None
-                inputs = [begin, solver.nodes.levels, weights, values]
+                inputs = [begin, solver.nodes.levels, weights, values[: weights.shape[1]]]
                 launch(apply_weights, weights.shape[0], inputs, [solver.values], device=solver.device)
         solver.launch_continuation(sizes, target.vertex_values)

@@ -10,6 +10,7 @@ import numpy as np
 from ..core.arrays import is_device_array
 from ..errors import InputError
 from .mesh import ClosedMesh, Mesh, connected_parts, require_mesh
+from .surface import PolygonFaces
 
 
 def posed_mesh(rest: Mesh, pose: Any, what: str) -> Mesh:
@@ -19,7 +20,12 @@ def posed_mesh(rest: Mesh, pose: Any, what: str) -> Mesh:
         return rest.with_vertices(pose)
     require_mesh(pose, what)
     require_same_faces(rest, pose)
-    return pose
+    return with_faces_of(rest, pose)
+
+
+def with_faces_of(rest: Mesh, pose: Mesh) -> Mesh:
+    """A pose of the same faces, refined as those of `rest` are: the cage at rest says what is between corners."""
+    return pose if pose.polygon_faces is rest.polygon_faces else rest.with_vertices(pose.vertices)
 
 
 def require_same_faces(rest: ClosedMesh, deformed: ClosedMesh) -> None:
@@ -27,7 +33,7 @@ def require_same_faces(rest: ClosedMesh, deformed: ClosedMesh) -> None:
     if rest.faces is deformed.faces:
         return
     same_count = len(rest.vertices) == len(deformed.vertices)
-    if same_count and np.array_equal(rest.faces, deformed.faces):
+    if same_count and _are_same(rest, deformed):
         return
     try:
         matched_vertices(rest, deformed)
@@ -65,21 +71,51 @@ def in_order(rest: ClosedMesh, vertices: np.ndarray, order: np.ndarray) -> np.nd
     return np.where((order < 0)[:, None], rest.vertices, vertices[order])
 
 
+def _are_same(rest: ClosedMesh, deformed: ClosedMesh) -> bool:
+    """Whether two meshes have the same faces in the same order, or one has the polygons of the other cut somehow."""
+    one, two = rest.polygon_faces, deformed.polygon_faces
+    if np.array_equal(rest.faces, deformed.faces):
+        return True
+    if one is not None and two is not None:
+        return one.same_as(two)
+    if one is not None:
+        return _is_cut(one, deformed.faces)
+    return two is not None and _is_cut(two, rest.faces)
+
+
+def _is_cut(polygons: PolygonFaces, triangles: np.ndarray) -> bool:
+    """Whether triangles are polygons cut along any diagonals: they have all of their edges, and others in pairs."""
+    count = polygons.vertex_count
+    start, end = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1)
+    keys, (first, second, _) = start * count + end, polygons.fanned().T
+    others = ~np.isin(keys, first * count + second)
+    return (
+        len(triangles) == len(polygons.triangles)
+        and bool(np.isin(first * count + second, keys).all())
+        and np.array_equal(np.sort(keys[others]), np.sort((end * count + start)[others]))
+    )
+
+
 def matched_order(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
     """(v,) numbers of a pose's vertices in the order of its rest mesh, -1 for unused ones; errors as above."""
     # Also accepts faces in another order or begun at another corner, quads cut along other diagonals, and vertices in
     # any order or repeated at one place, as programs write that store one normal for each corner.
-    if len(rest.vertices) == len(pose.vertices) and same_patches(rest.faces, pose.faces):
+    same_count = len(rest.vertices) == len(pose.vertices)
+    if same_count and (_are_same(rest, pose) or same_patches(rest.faces, pose.faces)):
         return np.arange(len(pose.vertices))
     vertices, faces = pose.vertices, pose.faces.astype(np.int64)
-    if _used_count(faces) > _used_count(rest.faces):
-        vertices, faces = _welded(pose)
+    repeats = _used_count(faces) > _used_count(rest.faces)
+    if repeats:
+        faces = _welded(vertices, faces)
     complaint = _counts_differ(rest, pose, faces)
     if complaint:
         raise InputError(f"the pose {complaint}")
     if rest.topology.closed and rest.volume * pose.volume < 0.0:
         raise InputError("the pose has the cage's faces turned inside out: flip its normals (it was mirrored)")
-    order = _correspondence(_Mesh.of(rest.vertices, rest.faces), _Mesh.of(vertices, faces))
+    if rest.polygon_faces is None or pose.polygon_faces is None:
+        order = _correspondence(_Mesh.of(rest.vertices, rest.faces), _Mesh.of(vertices, faces))
+    else:  # without diagonals, which depend on the corner that a face begins at
+        order = _correspondence(_fanned(rest, rest.polygon_faces), _fanned(pose, pose.polygon_faces, repeats))
     if order is None:
         raise InputError(f"the pose {_difference(rest, vertices, faces)}")
     matched = np.full(len(rest.vertices), -1)
@@ -130,11 +166,11 @@ def _part_count(faces: np.ndarray) -> int:
     return len(np.unique(label[faces[:, 0]]))
 
 
-def _welded(mesh: ClosedMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices, and faces that name the first of all vertices at exactly one place."""
-    _, first, place = np.unique(mesh.vertices + 0.0, axis=0, return_index=True, return_inverse=True)
-    faces = first[place.reshape(-1)][mesh.faces]
-    return mesh.vertices, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+def _welded(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Faces that name the first of all vertices at exactly one place."""
+    _, first, place = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
+    faces = first[place.reshape(-1)][faces]
+    return faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
 
 
 def _counts_differ(rest: ClosedMesh, pose: ClosedMesh, faces: np.ndarray) -> str:
@@ -187,7 +223,8 @@ class _Mesh:
     part_count: int
 
     @classmethod
-    def of(cls, vertices: np.ndarray, faces: np.ndarray) -> _Mesh:
+    def of(cls, vertices: np.ndarray, faces: np.ndarray, middles: int = 0) -> _Mesh:
+        """middles: how many of the vertices, the last ones, are none of the mesh, but of the middles of its faces."""
         faces = np.asarray(faces, dtype=np.int64)
         start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
         keys, back = start * len(vertices) + end, end * len(vertices) + start
@@ -196,12 +233,22 @@ class _Mesh:
         twin = np.where(keys[order][place] == back, order[place], len(keys))
         has = np.flatnonzero(twin < len(keys))
         part, count = connected_parts(len(faces), has // 3, twin[has] // 3)
-        return cls(vertices, faces, np.append(twin, len(keys)), _colors(len(vertices), start, end), part, count)
+        colors = _colors(len(vertices), start, end, middles)
+        return cls(vertices, faces, np.append(twin, len(keys)), colors, part, count)
 
 
-def _colors(count: int, start: np.ndarray, end: np.ndarray, rounds: int = 6) -> np.ndarray:
-    """(v,) uint64 by colour refinement (Weisfeiler and Leman 1968) over neighbours, the same for any numbering."""
+def _fanned(mesh: ClosedMesh, polygons: PolygonFaces, repeats: bool = False) -> _Mesh:
+    """A mesh of polygons as triangles around their middles; repeats: with vertices at one place made one."""
+    middles = np.add.reduceat(mesh.vertices[polygons.corners], polygons.starts, axis=0) / polygons.sizes[:, None]
+    vertices, faces = np.concatenate([mesh.vertices, middles]), polygons.fanned()
+    return _Mesh.of(vertices, _welded(vertices, faces) if repeats else faces, len(middles))
+
+
+def _colors(count: int, start: np.ndarray, end: np.ndarray, middles: int, rounds: int = 6) -> np.ndarray:
+    """(v,) uint64 by colour refinement (Weisfeiler and Leman 1968) over neighbours, the same for any numbering.
+    The last ones, so many `middles`, look like no other."""
     color = np.bincount(start, minlength=count).astype(np.uint64)
+    color[count - middles :] += np.uint64(1 << 32)
     for _ in range(rounds):
         total = np.zeros(count, dtype=np.uint64)
         np.add.at(total, start, _mixed(color)[end])

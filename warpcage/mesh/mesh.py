@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
@@ -17,6 +18,7 @@ from ..core.devices import launch
 from ..core.names import agreed, counted
 from ..errors import InputError
 from ..kernels.mesh.fans import prepare_fans
+from .surface import CELLS, PolygonFaces
 
 
 @dataclass(frozen=True)
@@ -70,12 +72,16 @@ class MeshTopology:
     """Edges and connected parts of triangles (f, 3): they depend on faces alone, so all poses share them.
     Attributes list the faces, edges and vertices at fault, so that errors can name the first one."""
 
-    def __init__(self, vertex_count: int, faces: ArrayLike):
+    def __init__(self, vertex_count: int, faces: ArrayLike, sizes: np.ndarray | None = None):
+        # sizes (f,): faces are the corners (c,) of faces of so many
         self._faces = faces = np.asarray(faces, dtype=np.int64)
-        face_count = len(faces)
+        sizes = np.full(len(faces), 3) if sizes is None else sizes
+        face_count = len(sizes)
         starts = faces.reshape(-1)
-        ends = np.roll(faces, -1, axis=1).reshape(-1)
-        owner = np.repeat(np.arange(face_count), 3)
+        following = np.arange(1, len(starts) + 1)
+        following[np.cumsum(sizes) - 1] -= sizes
+        ends = starts[following]
+        owner = np.repeat(np.arange(face_count), sizes)
         proper = starts != ends
 
         self.repeated_faces = np.unique(owner[~proper])  # (k,) faces that name a vertex twice
@@ -96,12 +102,14 @@ class MeshTopology:
         same = np.flatnonzero(edge[order][1:] == edge[order][:-1])
         one, two = np.flatnonzero(proper)[order[same]], np.flatnonzero(proper)[order[same + 1]]
         self.parts, self.part_count = connected_parts(face_count, owner[one], owner[two])  # (f,) connected over edges
-        self.pinched_vertices = self._pinched_vertices(vertex_count, starts, one, two)  # with several fans
+        self.pinched_vertices = self._pinched_vertices(vertex_count, starts, following, one, two)  # with several fans
 
     @staticmethod
-    def _pinched_vertices(vertex_count: int, starts: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    def _pinched_vertices(
+        vertex_count: int, starts: np.ndarray, following: np.ndarray, one: np.ndarray, two: np.ndarray
+    ) -> np.ndarray:
         """Vertices whose corners fall into several fans; one, two (k,): half-edges (corners) that share an edge."""
-        after_one, after_two = one // 3 * 3 + (one + 1) % 3, two // 3 * 3 + (two + 1) % 3
+        after_one, after_two = following[one], following[two]
         # the half-edge's start corner meets whichever corner of the other face lies at the same vertex
         against = starts[one] == starts[after_two]
         first = np.concatenate([one, after_one])
@@ -205,24 +213,27 @@ class TriangleMesh(Protocol):
 
 
 class ClosedMesh:
-    """A triangle mesh that is meant to be closed and to look outward, immutable, of vertices (v, 3), world units, and
-    faces (f, 3), anticlockwise seen from outside; ValueError for arrays of other shapes or values."""
+    """A mesh that is meant to be closed and to look outward, immutable, of vertices (v, 3), world units, and faces,
+    anticlockwise seen from outside: triangles (f, 3), or polygons; ValueError for arrays of other shapes or values."""
 
     # An open, inverted or tangled mesh is held, so that it can be described and mended; what computes on a mesh calls
     # `mesh.validity.require_usable` first. Messages call it a cage: users make one as a `warpcage.Cage`.
 
     # __weakref__: mesh/validity.py remembers what it found for as long as the mesh lives
-    __slots__ = ("__weakref__", "_bounds", "_faces", "_object_name", "_topology", "_vertices")
+    __slots__ = ("__weakref__", "_bounds", "_faces", "_object_name", "_operator", "_polygons", "_surfaces",
+                 "_topology", "_vertices")  # fmt: skip
 
-    def __init__(self, vertices: ArrayLike, faces: ArrayLike):
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike | Sequence[Sequence[int]]):
         self._vertices = _checked_vertices(vertices)
-        self._faces = _checked_faces(faces, len(self._vertices))
+        self._faces, self._polygons = _checked_faces(faces, self._vertices)
+        self._surfaces: dict[int, Any] = {}  # by cells
+        self._operator: Any = None
         self._topology: MeshTopology | None = None
         self._bounds: np.ndarray | None = None
         self._object_name = ""
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({len(self.vertices)} vertices, {len(self.faces)} faces, size {self.size:.4g})"
+        return f"{type(self).__name__}({len(self.vertices)} vertices, {self.face_count} faces, size {self.size:.4g})"
 
     @property
     def vertices(self) -> np.ndarray:
@@ -231,8 +242,75 @@ class ClosedMesh:
 
     @property
     def faces(self) -> np.ndarray:
-        """(f, 3) int32, read-only."""
+        """(f, 3) int32, read-only: the triangles, or those between their own corners into which polygons are cut."""
         return self._faces
+
+    @property
+    def face_count(self) -> int:
+        """How many faces there are, a polygon being one."""
+        return len(self._faces) if self._polygons is None else len(self._polygons.sizes)
+
+    @property
+    def face_array(self) -> np.ndarray:
+        """(f, n) int32, the faces as they came, as the constructor takes them.
+
+        Behind the last corner of a face of fewer than n it is -1.
+        """
+        return self._faces if self._polygons is None else self._polygons.array
+
+    @property
+    def polygons(self) -> tuple[tuple[int, ...], ...]:
+        """The faces as they came, each as the numbers of its vertices."""
+        polygons = self._polygons
+        faces = self._faces if polygons is None else np.split(polygons.corners, polygons.starts[1:])
+        return tuple(tuple(face.tolist()) for face in faces)
+
+    @property
+    def polygon_faces(self) -> PolygonFaces | None:
+        """How faces of more than three corners are cut and refined; None where all are triangles."""
+        return self._polygons
+
+    @property
+    def surface(self: Mesh) -> Mesh:
+        """The mesh of triangles that lies between the corners of all faces: this one where all are triangles.
+
+        All corners of a face enter alike: one of four is the bilinear patch between them, to a sixteenth of its warp.
+        The vertices of this mesh come first, in their order.
+        """
+        return self.refined()
+
+    def refined(self: Mesh, cells: int = CELLS) -> Mesh:
+        """As `surface`, with another number of cells.
+
+        Args:
+            cells: Along each edge of a face of more than three corners, 1 or 2: a face of four is the bilinear patch to
+                a quarter or a sixteenth of its warp.
+
+        Returns:
+            The mesh of triangles.
+        """
+        if self._polygons is None:
+            return self
+        if cells not in self._surfaces:
+            refined, fine = self._polygons.refined(cells), copy.copy(self)
+            fine._polygons, fine._surfaces, fine._bounds = None, {}, None
+            fine._faces, fine._operator = refined.faces, refined.operator
+            fine._vertices = refined.operator @ self._vertices
+            fine._vertices.setflags(write=False)
+            fine._topology = refined.topology
+            refined.topology = fine.topology
+            self._surfaces[cells] = fine
+        return self._surfaces[cells]
+
+    @property
+    def own_count(self) -> int:
+        """How many of the vertices the others follow from by `operator`: all where there is none."""
+        return len(self._vertices) if self._operator is None else self._operator.shape[1]
+
+    @property
+    def operator(self) -> Any:
+        """Of a surface, (v, u) sparse: its vertices from those of the mesh that it is of; None for other meshes."""
+        return self._operator
 
     @property
     def object_name(self) -> str:
@@ -241,9 +319,10 @@ class ClosedMesh:
 
     @property
     def topology(self) -> MeshTopology:
-        """Edges, holes and connected parts, worked out once for a mesh and all its poses."""
+        """Edges, holes and connected parts of the faces as they came, worked out once for a mesh and all its poses."""
         if self._topology is None:
-            self._topology = MeshTopology(len(self.vertices), self.faces)
+            faces = (self._faces,) if self._polygons is None else (self._polygons.corners, self._polygons.sizes)
+            self._topology = MeshTopology(len(self.vertices), *faces)
         return self._topology
 
     @property
@@ -278,15 +357,19 @@ class ClosedMesh:
 
     @property
     def corners(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """First, second and third corner of each face, (f, 3) each, relative to the middle of the bounding box."""
-        local = self.vertices - self.bounds.mean(axis=0)
-        return local[self.faces[:, 0]], local[self.faces[:, 1]], local[self.faces[:, 2]]
+        """The three corners of each triangle of `surface`, (f, 3) each, relative to the middle of the bounding box."""
+        surface = self.surface
+        local = surface.vertices - self.bounds.mean(axis=0)
+        return local[surface.faces[:, 0]], local[surface.faces[:, 1]], local[surface.faces[:, 2]]
 
     def part_volumes(self) -> np.ndarray:
         """(part_count,) float64 volume of each connected part, world units cubed: negative where it looks inward."""
         a, b, c = self.corners
         cones = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
-        return np.bincount(self.topology.parts, weights=cones, minlength=self.topology.part_count)
+        parts = self.topology.parts
+        if self._polygons is not None:
+            parts = parts[self._polygons.refined(CELLS).owner]
+        return np.bincount(parts, weights=cones, minlength=self.topology.part_count)
 
     def with_vertices(self: Mesh, vertices: ArrayLike) -> Mesh:
         """A mesh of the same class with the same faces and other vertices.
@@ -305,7 +388,7 @@ class ClosedMesh:
             raise InputError(f"a cage of these faces needs {len(self.vertices)} vertices, got {len(checked)}")
         self._topology = self.topology  # worked out before it is shared
         posed = copy.copy(self)
-        posed._vertices, posed._bounds = checked, None
+        posed._vertices, posed._bounds, posed._surfaces = checked, None, {}
         return posed
 
     def named(self: Mesh, name: str) -> Mesh:
@@ -335,20 +418,38 @@ def _checked_vertices(vertices: ArrayLike) -> np.ndarray:
     return checked
 
 
-def _checked_faces(given: Any, vertex_count: int) -> np.ndarray:
-    """(f, 3) int32, a read-only copy."""
-    faces = np.asarray(as_host_array(given, "cage faces"))
-    if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
-        raise InputError(f"cage faces must be (f, 3) triangles, at least one, got {faces.shape}")
-    if faces.dtype.kind not in "iu":
-        raise InputError(f"cage faces must be whole numbers, got {faces.dtype}")
-    wrong = (faces < 0) | (faces >= vertex_count)
+def _checked_faces(given: Any, vertices: np.ndarray) -> tuple[np.ndarray, PolygonFaces | None]:
+    """(f, 3) int32, a read-only copy; and where a face has more than three corners, all of them as they came."""
+    given = as_host_array(given, "cage faces")
+    if isinstance(given, list | tuple) and len({np.size(face) for face in given}) > 1:
+        rows = [np.asarray(face) for face in given]
+        corners, sizes = np.concatenate([row.reshape(-1) for row in rows]), np.array([row.size for row in rows])
+        if any(row.ndim != 1 for row in rows) or sizes.min() < 3:
+            raise InputError(f"cage faces must be lists of at least 3 vertices each, got one of {sizes.min()}")
+    else:
+        array = np.asarray(given)
+        if array.ndim != 2 or array.shape[1] < 3 or len(array) == 0:
+            raise InputError(f"cage faces must be (f, 3) triangles or polygons, at least one, got {array.shape}")
+        held = np.ones(array.shape, dtype=bool)
+        held[:, 3:] = np.logical_and.accumulate(array[:, 3:] != -1, axis=1)  # what is behind the last corner
+        corners, sizes = array[held], held.sum(axis=1)
+        if (array[~held] != -1).any():
+            row = int(np.flatnonzero(((array != -1) & ~held).any(axis=1))[0])
+            raise InputError(f"cage face {row} is {array[row].tolist()}: -1 stands behind the last corner only")
+    if corners.dtype.kind not in "iu":
+        raise InputError(f"cage faces must be whole numbers, got {corners.dtype}")
+    wrong = (corners < 0) | (corners >= len(vertices))
     if wrong.any():
-        row = int(np.flatnonzero(wrong.any(axis=1))[0])
-        raise InputError(f"cage face {row} is {faces[row].tolist()}, indices must be 0 to {vertex_count - 1}")
-    faces = np.array(faces, dtype=np.int32, order="C", copy=True)
-    faces.setflags(write=False)
-    return faces
+        row = int(np.searchsorted(np.cumsum(sizes), np.flatnonzero(wrong)[0], side="right"))
+        face = np.split(corners, np.cumsum(sizes)[:-1])[row].tolist()
+        raise InputError(f"cage face {row} is {face}, indices must be 0 to {len(vertices) - 1}")
+    corners = np.array(corners, dtype=np.int32)
+    if (sizes == 3).all():
+        faces = corners.reshape(-1, 3)
+        faces.setflags(write=False)
+        return faces, None
+    polygons = PolygonFaces(vertices, corners, sizes)
+    return polygons.triangles, polygons
 
 
 #: The axes by name, the longest first.
@@ -361,7 +462,7 @@ _MIN_RATIO = 1.05
 def principal_axes(mesh: ClosedMesh) -> tuple[np.ndarray, np.ndarray]:
     """Principal axes of a mesh's surface, whatever the size of its faces: (3, 3) unit vectors, one a row, right-handed,
     and (3,) variances along them, world units squared, the longest first."""
-    corners = np.stack(mesh.corners, axis=1)
+    corners = np.stack(mesh.corners, axis=1)  # of its surface
     areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     total = max(float(areas.sum()), 1e-300)
     corners = corners - (areas[:, None] * corners.mean(axis=1)).sum(axis=0) / total

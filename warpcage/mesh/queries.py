@@ -15,6 +15,7 @@ from ..core.modules import Kernel
 from ..kernels.mesh.containment import measure_distance, measure_winding_number
 from .faces import column_cross
 from .mesh import ClosedMesh
+from .surface import CELLS
 from .validity import require_usable
 
 #: Points this close to a mesh, as a share of its size, count as inside.
@@ -42,7 +43,7 @@ def inside_mesh(
     # Winding number above 1/2: cavities are outside, places that a tangled pose covers twice are inside.
     require_usable(mesh)
     host, place = as_host_points(points), points_device(points, device)
-    inside = _inside(host, mesh, tolerance, place)
+    inside = _inside(host, mesh.surface, tolerance, place)
     if not is_device_array(points):
         return inside
     return as_given(wp.array(inside, dtype=wp.bool, device=place), points)
@@ -70,6 +71,16 @@ def _inside(points: np.ndarray, mesh: ClosedMesh, tolerance: float, device: wp.D
     if len(outside):
         inside[outside] = measure(measure_distance, outside) <= tolerance
     return inside
+
+
+def crossing_faces(mesh: ClosedMesh) -> np.ndarray:
+    """Pairs (k, 2) of faces of a mesh that cross or overlap, as `intersecting_faces`; a polygon that folds over itself
+    is a pair with itself."""
+    surface = mesh.surface
+    pairs = intersecting_faces(surface.vertices, surface.faces)
+    if mesh.polygon_faces is None:
+        return pairs
+    return np.unique(np.sort(mesh.polygon_faces.refined(CELLS).owner[pairs], axis=1), axis=0)
 
 
 #: Overlaps and crossings below this share of the mesh's size are touching, not intersecting.

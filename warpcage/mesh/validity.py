@@ -10,6 +10,7 @@ from ..core.names import counted
 from ..errors import InputError
 from .faces import column_cross, column_dot, face_edges
 from .mesh import ClosedMesh
+from .patches import faces_of
 
 #: A face lower than this share of the mesh's size has no normal in float32.
 DEGENERATE_HEIGHT = 1e-7
@@ -28,11 +29,13 @@ _known_problems: weakref.WeakKeyDictionary[ClosedMesh, str] = weakref.WeakKeyDic
 
 
 def degenerate_faces(mesh: ClosedMesh) -> np.ndarray:
-    """The faces (k,) without area, ascending: lower than 1e-7 of the mesh's size, or naming a vertex twice."""
+    """The faces (k,) without area, ascending: lower than 1e-7 of the mesh's size, or naming a vertex twice; of polygons
+    those with a triangle of the surface like this."""
     a, b, c = mesh.corners
     double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.sqrt(np.maximum.reduce([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))]))
-    return np.flatnonzero(double_area <= DEGENERATE_HEIGHT * mesh.size * longest)
+    flat = np.flatnonzero(double_area <= DEGENERATE_HEIGHT * mesh.size * longest)
+    return faces_of(mesh, flat)
 
 
 def coincident_vertices(mesh: ClosedMesh) -> np.ndarray:
@@ -63,20 +66,20 @@ def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
 
 def inward_parts(mesh: ClosedMesh) -> np.ndarray:
     """Connected parts (k,) of a closed mesh, ascending, that look inward without being a cavity inside another part."""
-    volumes = mesh.part_volumes()
-    parts = mesh.topology.parts
+    volumes, surface = mesh.part_volumes(), mesh.surface
+    parts = surface.topology.parts
     wrong = []
     for part in np.flatnonzero(volumes <= 0.0):
-        inside = mesh.vertices[mesh.faces[parts == part][:1, 0]]
-        others = mesh.faces[parts != part]
-        if volumes[part] == 0.0 or not len(others) or winding_numbers(inside, mesh.vertices, others)[0] < 0.5:
+        inside = surface.vertices[surface.faces[parts == part][:1, 0]]
+        others = surface.faces[parts != part]
+        if volumes[part] == 0.0 or not len(others) or winding_numbers(inside, surface.vertices, others)[0] < 0.5:
             wrong.append(part)
     return np.asarray(wrong, dtype=np.int64)
 
 
 def looks_usable(mesh: ClosedMesh) -> bool:
     """Whether a quick look finds nothing wrong: no vertices that may share a place, no low faces, no inward parts.
-    For a mesh whose topology has no problem; almost every usable pose passes, False needs a closer look."""
+    For triangles whose topology has no problem; almost every usable pose passes, False needs a closer look."""
     topology = mesh.topology
     local = mesh.vertices - mesh.bounds.mean(axis=0)
     keys = (local.astype(np.float32) + np.float32(0.0)).view(np.uint32).astype(np.uint64) @ _PLACE_FACTORS
@@ -96,9 +99,8 @@ def looks_usable(mesh: ClosedMesh) -> bool:
 
 def first_problem(mesh: ClosedMesh) -> str:
     """What makes a mesh unusable: one line that follows its name, "is open: ..."; empty for a usable mesh."""
-    if mesh.topology.problem:
-        return mesh.topology.problem
-    return size_problem(mesh) or ("" if looks_usable(mesh) else first_geometric_problem(mesh))
+    problem = mesh.topology.problem or size_problem(mesh) or mesh.surface.topology.problem
+    return problem or ("" if looks_usable(mesh.surface) else first_geometric_problem(mesh))
 
 
 def size_problem(mesh: ClosedMesh) -> str:
@@ -116,7 +118,6 @@ def size_problem(mesh: ClosedMesh) -> str:
 
 def first_geometric_problem(mesh: ClosedMesh) -> str:
     """What makes a mesh unusable whose topology has no problem, as `first_problem`."""
-    topology = mesh.topology
     coincident = coincident_vertices(mesh)
     if len(coincident):
         a, b = coincident[0]
@@ -127,9 +128,11 @@ def first_geometric_problem(mesh: ClosedMesh) -> str:
     degenerate = degenerate_faces(mesh)
     if len(degenerate):
         return f"has degenerate faces: {len(degenerate)} without area, the first {degenerate[0]}: remove or widen them"
+    if len(coincident_vertices(mesh.surface)):
+        return "has faces of four or more corners whose middles are at one place: move them apart"
     inward = inward_parts(mesh)
     if len(inward):
-        face = int(np.flatnonzero(topology.parts == inward[0])[0])
+        face = int(np.flatnonzero(mesh.topology.parts == inward[0])[0])
         return (
             f"looks inward: the part with face {face} encloses volume {mesh.part_volumes()[inward[0]]:.4g}: flip "
             "its faces to be anticlockwise seen from outside"

@@ -19,6 +19,7 @@ from ..kernels.splats import lattice_rows, pose
 from ..kernels.splats.packed_rows import PackedRows, carry_packed, pack_rows
 from ..mesh.faces import StretchTarget, column_cross, column_dot, face_edges, stretched_normals
 from ..mesh.mesh import ClosedMesh
+from ..mesh.surface import merge_rows
 from .io.axes import sh_basis
 
 #: Rows of x, y, z, x, y, of which cross products take slices.
@@ -33,7 +34,8 @@ class PoseFit:
         self._origin, self._size = origin, rest.size
         self._local = rest.vertices - origin
         self._green = coordinate_kind(coordinates).has_face_weights
-        self.row_count = len(rest.vertices) + (len(rest.faces) if self._green else 0)  # r_j: by vertex; Green: by face
+        self._own = rest.own_count  # of a surface the first vertices, from which the others follow
+        self.row_count = self._own + (len(rest.faces) if self._green else 0)  # r_j: by vertex; Green: by face
         used = np.ones(len(rest.vertices), dtype=bool)
         if not self._green:
             used[rest.topology.unused_vertices] = False  # they may lie anywhere
@@ -61,12 +63,12 @@ class PoseFit:
         around = posed - middle
         if self._green:
             matrix = nearest_similarity(self._spread, around, self._square_sum)
-            out[2 * count :] = (self._tilts(around) - matrix @ self._normals).T  # r_j times the size
+            out[count + self._own :] = (self._tilts(around) - matrix @ self._normals).T  # r_j times the size
         else:
             matrix = (self._inverse @ around).T
         out[:count] = posed
         # relative to the centres, so that nothing is lost far from the origin
-        out[count : 2 * count] = around - (self._local - self._center) @ matrix.T
+        out[count : count + self._own] = (around - (self._local - self._center) @ matrix.T)[: self._own]
         return matrix - np.eye(3), middle - matrix @ self._center
 
     def _tilts(self, vertices: np.ndarray) -> np.ndarray:
@@ -116,7 +118,7 @@ class CageBinding(HeldOnDevice):
     def __init__(
         self,
         points: np.ndarray,  # (m, 3) world units, inside the cage, 1e-5 of its size or more from its faces
-        cage: ClosedMesh,  # at rest, usable
+        cage: ClosedMesh,  # at rest, usable, of triangles
         coordinates: str,  # a name of `coordinate_kinds`
         origin: np.ndarray,  # (3,) world point that positions on the device are relative to
         device: wp.Device,
@@ -135,8 +137,9 @@ class CageBinding(HeldOnDevice):
         kind = coordinate_kind(coordinates)
         chunk = min(CHUNK, count) if kind.is_closed_form else count
         need = 40 * groups * count + 16 * height * chunk if pack else 16 * height * count
+        merges = kind.is_closed_form and cage.operator is not None
         if kind.is_closed_form:
-            need += 32 * corners * chunk
+            need += 32 * corners * chunk + merges * 16 * (corners + height) * chunk
         require_memory(
             need,
             device,
@@ -166,13 +169,17 @@ class CageBinding(HeldOnDevice):
         vertices = wp.array((cage.vertices - center) / cage.size, dtype=wp.vec3d, device=device)
         faces = wp.array(cage.faces, dtype=wp.vec3i, device=device)
         scratch = _columns(corners, max(chunk, 1), wp.vec4d, device)
+        every = _columns(corners + height - cage.own_count, max(chunk, 1), wp.vec4, device) if merges else None
         kernel = kind.load("bind_points")
         for begin in range(0, count, CHUNK):
             report_progress(progress, begin, count, "bind splats")
             items = min(CHUNK, count - begin)
             into = rows if pack else rows[:, begin : begin + items]
             inputs = [local[begin : begin + items], vertices, faces, scratch]
-            launch(kernel, items, inputs, [into], device=device, work=4 * len(cage.faces))
+            outputs = [into if every is None else every]
+            launch(kernel, items, inputs, outputs, device=device, work=4 * len(cage.faces))
+            if every is not None:
+                merge_rows(every[:, :items], cage.operator, into)
             self._pack(begin, rows, items)
 
     def _pack(self, begin: int, rows: wp.array, items: int) -> None:

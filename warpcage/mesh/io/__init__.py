@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ...core.checks import checked_path, listed, require_type
 from ...core.files import PathLike, atomic_path, require_file
 from ...core.names import counted
 from ...errors import InputError
+from ..mesh import ClosedMesh
 from ..polygons import cut_polygon
 from .formats import ENDINGS, MeshFormat, mesh_format
 from .gltf import Texture, write_glb, write_gltf
@@ -45,6 +45,10 @@ MOTION_ENDINGS = (".glb", ".gltf", *USD_ENDINGS)
 ALL_OBJECTS = "*"
 
 
+#: Faces: triangles (f, 3), or the corners of each.
+Faces = np.ndarray | list[list[int]]
+
+
 @dataclasses.dataclass(frozen=True)
 class MeshFile:
     """What was read from a mesh file."""
@@ -52,7 +56,13 @@ class MeshFile:
     path: pathlib.Path
     vertices: np.ndarray  # (v, 3) float64 in the file's order
     faces: np.ndarray  # (f, 3) int64; polygons are cut into them
+    polygons: list[list[int]] | None = None  # the faces as they came, where one has more than three corners
     name: str = ""  # of the object that it is; "" where the file has no names, or all of it was taken
+
+    @property
+    def as_came(self) -> Faces:
+        """The faces as a ClosedMesh takes them."""
+        return self.faces if self.polygons is None else self.polygons
 
 
 def read_mesh(path: PathLike, up: str | None = None) -> tuple[pathlib.Path, np.ndarray, np.ndarray]:
@@ -65,7 +75,7 @@ def read_object(
     path: PathLike,
     up: str | None = None,
     object: str | None = None,
-    fits: Callable[[np.ndarray, np.ndarray], bool] | None = None,
+    fits: Callable[[np.ndarray, Faces], bool] | None = None,
     likely: str = "",
 ) -> MeshFile:
     """A mesh file, or one `object` of it, "*" for all; of several without a name, that which is called `likely`, or the
@@ -94,7 +104,11 @@ def _whole(path: pathlib.Path, vertices: np.ndarray, polygons: np.ndarray | Poly
         raise InputError(f"{path} holds {counted(len(vertices), 'point')} without faces, no mesh and no cage")
     if not len(vertices) or not len(polygons):
         raise InputError(f"{path}: no {'faces' if len(vertices) else 'vertices'} in it")
-    return MeshFile(path, vertices, polygons if isinstance(polygons, np.ndarray) else _cut(path, vertices, polygons))
+    if isinstance(polygons, np.ndarray):
+        return MeshFile(path, vertices, polygons)
+    faces = _cut(path, vertices, polygons)
+    is_cut = len(faces) > len(polygons)
+    return MeshFile(path, vertices, faces, [polygon for _, polygon in polygons] if is_cut else None)
 
 
 def _read_named(format: MeshFormat, path: pathlib.Path, name: str) -> tuple[np.ndarray, np.ndarray | Polygons]:
@@ -107,7 +121,7 @@ def _chosen(
     names: list[str],
     format: MeshFormat,
     object: str | None,
-    fits: Callable[[np.ndarray, np.ndarray], bool] | None,
+    fits: Callable[[np.ndarray, Faces], bool] | None,
     likely: str,
 ) -> str:
     """The name of the object of a file to read, of those in it; "" for the whole file."""
@@ -131,12 +145,12 @@ def _chosen(
     raise InputError(f"{what}: choose one by object= (--cage-object NAME), or {ALL_OBJECTS!r} for all as one")
 
 
-def _fits(path: pathlib.Path, format: MeshFormat, name: str, fits: Callable[[np.ndarray, np.ndarray], bool]) -> bool:
+def _fits(path: pathlib.Path, format: MeshFormat, name: str, fits: Callable[[np.ndarray, Faces], bool]) -> bool:
     try:
         found = _whole(path, *_read_named(format, path, name))
     except ValueError:
         return False
-    return fits(found.vertices, found.faces)
+    return fits(found.vertices, found.as_came)
 
 
 def turned_up(vertices: np.ndarray, was: str, up: str) -> np.ndarray:
@@ -168,16 +182,20 @@ def _cut(path: pathlib.Path, vertices: np.ndarray, polygons: Polygons) -> np.nda
     return np.array(triangles, dtype=np.int64)
 
 
-def write_mesh(path: PathLike, vertices: ArrayLike, faces: ArrayLike, up: str | None = None) -> None:
-    """Write a mesh file, whole or not at all; vertices (v, 3), z up; up: as in `read_mesh`."""
+def write_mesh(path: PathLike, mesh: ClosedMesh, up: str | None = None) -> None:
+    """Write a mesh file, whole or not at all, with polygons as they came where its format has any; z is up in the mesh;
+    up: as in `read_mesh`."""
     path = checked_path(path, "the mesh file")
-    writer = mesh_format(path, "write").write
+    format = mesh_format(path, "write")
+    writer, faces = format.write, mesh.faces
     assert writer is not None  # glTF holds float32 from the middle of the vertices, others every bit
-    vertices = np.asarray(vertices, dtype=np.float64)
+    if format.polygons and mesh.polygon_faces is not None:
+        faces = mesh.polygons
+    vertices = mesh.vertices
     if _turned(path, up, "write"):
         vertices = turned_up(vertices, "z", "y")
     with atomic_path(path) as temporary:
-        temporary.write_bytes(writer(vertices, np.asarray(faces, dtype=np.int32)))
+        temporary.write_bytes(writer(vertices, faces))
 
 
 def write_shown_mesh(
@@ -185,6 +203,7 @@ def write_shown_mesh(
     vertices: np.ndarray,
     faces: np.ndarray,
     *,
+    polygons: Sequence[tuple[int, ...]] | None = None,
     colors: np.ndarray | None = None,
     frames: np.ndarray | None = None,
     fps: float = 24.0,
@@ -193,7 +212,7 @@ def write_shown_mesh(
 ) -> None:
     """Write a mesh of vertices (v, 3), z up, with colours (v, 3) in [0, 1], sRGB, or motion, whole or not at all; its
     ending is one of MOTION_ENDINGS. frames: (n, v, 3), fps a second; USD holds them as time samples, glTF as shapes."""
-    # a texture is for glTF: it lies in the file
+    # polygons: what USD has in place of the triangles (f, 3), None the same. A texture is for glTF: it lies in the file
     path = checked_path(path, "the mesh file")
     ending = path.suffix.lower()
     if ending not in MOTION_ENDINGS:
@@ -203,7 +222,7 @@ def write_shown_mesh(
     if ending in USD_ENDINGS:
         if texture is not None:
             raise InputError(f"{str(path)!r}: textures are written to glTF (.glb, .gltf)")
-        data = write_usd(vertices, faces, ending=ending, **shown)
+        data = write_usd(vertices, faces if polygons is None else polygons, ending=ending, **shown)
     else:
         if frames is not None:
             shown["frames"] = turned_up(np.asarray(frames).reshape(-1, 3), "z", "y").reshape(np.shape(frames))

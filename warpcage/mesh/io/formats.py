@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import pathlib
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 
@@ -33,23 +34,26 @@ class MeshFormat:
     name: str  # for messages, as "OBJ"
     endings: tuple[str, ...]  # of its files, lower case with the dot
     read: Callable[[pathlib.Path], Surface] | None = None  # raises ValueError; None for what is only written
-    write: Callable[[np.ndarray, np.ndarray], bytes] | None = None  # of vertices (v, 3) float64, triangles (t, 3) int32
+    write: Callable[[np.ndarray, Any], bytes] | None = None  # of vertices (v, 3) float64, triangles (t, 3) int32
     up: str = "z"  # the axis that points up in its files, "z" or "y"
     object_names: Callable[[pathlib.Path], list[str]] | None = None  # of the objects in a file; None where it has one
     read_object: Callable[[pathlib.Path, str], Surface] | None = None  # one of them by its name, as `read` does
     together: bool = False  # whether all objects of a file are one mesh where none is chosen
+    polygons: bool = False  # whether `write` takes tuples of the corners of faces of any number, in place of triangles
 
 
 # our own parsers: mesh libraries merge, split and drop vertices, and a posed cage must match its rest cage one to one
 FORMATS = (
-    MeshFormat("OBJ", (".obj",), read_obj, write_obj, object_names=obj_object_names, read_object=read_obj_object),
-    MeshFormat("PLY", (".ply",), read_ply, write_ply),
-    MeshFormat("OFF", (".off",), read_off, write_off),
+    MeshFormat(
+        "OBJ", (".obj",), read_obj, write_obj, object_names=obj_object_names, read_object=read_obj_object, polygons=True
+    ),
+    MeshFormat("PLY", (".ply",), read_ply, write_ply, polygons=True),
+    MeshFormat("OFF", (".off",), read_off, write_off, polygons=True),
     MeshFormat("GLB", (".glb",), read_gltf, write_glb, "y", gltf_object_names, read_gltf, together=True),
     MeshFormat("glTF", (".gltf",), read_gltf, write_gltf, "y", gltf_object_names, read_gltf, together=True),
     # its reader turns what has y up by what the file says
-    MeshFormat("USD", (".usd", ".usdc"), read_usd, write_usd, "z", usd_object_names, read_usd, together=True),
-    MeshFormat("USDA", (".usda",), read_usd, write_usda, "z", usd_object_names, read_usd, together=True),
+    MeshFormat("USD", (".usd", ".usdc"), read_usd, write_usd, "z", usd_object_names, read_usd, True, True),
+    MeshFormat("USDA", (".usda",), read_usd, write_usda, "z", usd_object_names, read_usd, True, True),
 )
 
 #: Endings of mesh files that are read without other packages, lower case.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pathlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NoReturn
 
 import numpy as np
@@ -16,6 +16,9 @@ from ...errors import InputError
 
 #: (line or name, indices of vertices) of each polygon of a file.
 Polygons = list[tuple[int | str, list[int]]]
+
+#: Faces to write: triangles (f, 3), or the corners of each.
+FacesToWrite = np.ndarray | Sequence[tuple[int, ...]]
 
 # -- OBJ: `v x y z`, `f a b c` with a, a/t, a//n or a/t/n, counted from 1, or from the end when negative
 
@@ -88,10 +91,10 @@ def _zero(path: pathlib.Path, line: int) -> NoReturn:
     raise InputError(f"{path}:{line}: OBJ counts vertices from 1, got a face with vertex 0")
 
 
-def write_obj(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+def write_obj(vertices: np.ndarray, faces: FacesToWrite) -> bytes:
     """An OBJ file that keeps every bit of the vertices."""
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
-    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces.tolist()]
+    lines += [f"f {' '.join(str(corner + 1) for corner in face)}" for face in listed_faces(faces)]
     return ("\n".join(["# cage", *lines]) + "\n").encode()
 
 
@@ -129,12 +132,17 @@ def read_off(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons
 
 
-def write_off(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+def write_off(vertices: np.ndarray, faces: FacesToWrite) -> bytes:
     """An OFF file that keeps every bit of the vertices."""
     lines = ["OFF", f"{len(vertices)} {len(faces)} 0"]
     lines += [f"{x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
-    lines += [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
+    lines += [f"{len(face)} {' '.join(map(str, face))}" for face in listed_faces(faces)]
     return ("\n".join(lines) + "\n").encode()
+
+
+def listed_faces(faces: FacesToWrite) -> Sequence[Sequence[int]]:
+    """The corners of each face as plain numbers."""
+    return faces.tolist() if isinstance(faces, np.ndarray) else faces
 
 
 def text_lines(path: pathlib.Path, data: bytes | None = None, first: int = 1) -> Iterator[tuple[int, list[str]]]:

@@ -13,7 +13,7 @@ from ...core.files import TEXT_ROOM, read_limited
 from ...core.memory import require_host_memory
 from ...errors import InputError
 from ..faces import joined_rows
-from .obj_off import floats, text_lines, whole
+from .obj_off import FacesToWrite, floats, text_lines, whole
 
 _PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
               "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
@@ -229,19 +229,25 @@ def _ply_binary_rows(
 
 
 def write_ply(
-    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None, *, comment: str = "cage"
+    vertices: np.ndarray, faces: FacesToWrite, colors: np.ndarray | None = None, *, comment: str = "cage"
 ) -> bytes:
     """A binary PLY file with vertices (v, 3) in float64, and colours (v, 3) uint8 where they are given."""
+    most = 3 if isinstance(faces, np.ndarray) else max(map(len, faces))
     channels = "" if colors is None else "".join(f"property uchar {name}\n" for name in CHANNELS)
     header = (
         f"ply\nformat binary_little_endian 1.0\ncomment {comment}\n"
         f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n{channels}"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+        f"element face {len(faces)}\nproperty list {'uchar' if most < 256 else 'int'} int vertex_indices\nend_header\n"
     )
-    rows = np.zeros(len(faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
-    rows["count"], rows["indices"] = 3, faces
+    count = "u1" if most < 256 else "<i4"
+    if isinstance(faces, np.ndarray):
+        rows = np.zeros(len(faces), dtype=[("count", count), ("indices", "<i4", 3)])
+        rows["count"], rows["indices"] = 3, faces
+        body = rows.tobytes()
+    else:
+        body = b"".join(np.array(len(face), count).tobytes() + np.array(face, "<i4").tobytes() for face in faces)
     points = np.zeros(len(vertices), [("place", "<f8", 3), ("color", "u1", 0 if colors is None else 3)])
     points["place"] = vertices
     if colors is not None:
         points["color"] = colors
-    return header.encode() + points.tobytes() + rows.tobytes()
+    return header.encode() + points.tobytes() + body

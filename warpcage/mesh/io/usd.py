@@ -16,7 +16,7 @@ from ...core.names import counted
 from ...errors import InputError
 from .gltf import linear_light, middle_of
 from .gltf_animation import ON_FRAME, OWN_RATES, GltfMotion, at_keys, frames_of
-from .obj_off import Polygons
+from .obj_off import FacesToWrite, Polygons, listed_faces
 from .usd_stage import attribute_times, errors_of_stage, opened_stage, placers_of, step_matrix, usd_library
 
 #: How files of USD end: either kind, text, binary.
@@ -280,7 +280,7 @@ def _film(stage: _Stage) -> GltfMotion:
 
 def write_usd(
     vertices: np.ndarray,
-    faces: np.ndarray,
+    faces: FacesToWrite,
     *,
     ending: str = ".usdc",
     colors: np.ndarray | None = None,
@@ -301,8 +301,9 @@ def write_usd(
         mesh.AddTranslateOp(pxr.UsdGeom.XformOp.PrecisionDouble).Set(pxr.Gf.Vec3d(*middle.tolist()))
     mesh.CreateSubdivisionSchemeAttr(pxr.UsdGeom.Tokens.none)  # else it is smoothed
     mesh.CreateDoubleSidedAttr(True)
-    mesh.CreateFaceVertexCountsAttr(pxr.Vt.IntArray(len(faces), 3))
-    mesh.CreateFaceVertexIndicesAttr(pxr.Vt.IntArray.FromNumpy(np.ascontiguousarray(faces, np.int32).reshape(-1)))
+    corners, sizes = _corners(faces)
+    mesh.CreateFaceVertexCountsAttr(pxr.Vt.IntArray.FromNumpy(sizes))
+    mesh.CreateFaceVertexIndicesAttr(pxr.Vt.IntArray.FromNumpy(corners))
     times = [pxr.Usd.TimeCode.Default(), *map(pxr.Usd.TimeCode, range(0 if frames is None else len(frames)))]
     for time, places in zip(times, [vertices, *(() if frames is None else frames)], strict=True):
         points = pxr.Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(places - middle, np.float32))
@@ -322,6 +323,12 @@ def write_usd(
         return path.read_bytes()
 
 
-def write_usda(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+def _corners(faces: FacesToWrite) -> tuple[np.ndarray, np.ndarray]:
+    """The corners (c,) int32 of all faces, and how many each has, (f,) int32."""
+    sizes = np.array([len(face) for face in faces], np.int32)
+    return np.fromiter((corner for face in listed_faces(faces) for corner in face), np.int32), sizes
+
+
+def write_usda(vertices: np.ndarray, faces: FacesToWrite) -> bytes:
     """The same as text."""
     return write_usd(vertices, faces, ending=".usda")

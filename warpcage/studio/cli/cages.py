@@ -87,7 +87,7 @@ def run_cage(args: argparse.Namespace) -> None:
         )
     cage.require_usable("the cage")
     cage.save(output, up=args.cage_up)
-    print(f"wrote {output}: {len(cage.vertices)} vertices, {len(cage.faces)} faces")
+    print(f"wrote {output}: {len(cage.vertices)} vertices, {cage.face_count} faces")
 
 
 def _snap(field: Any, args: argparse.Namespace, output: pathlib.Path) -> None:
@@ -97,7 +97,7 @@ def _snap(field: Any, args: argparse.Namespace, output: pathlib.Path) -> None:
     snapped.save(output, up=args.cage_up)
     before, after = cut_matter(cage, field), cut_matter(snapped, field)
     less = "which cuts through nothing" if not before else f"which cuts through {100 * (1 - after / before):.0f} % less"
-    print(f"wrote {output}: {len(snapped.vertices)} vertices, {len(snapped.faces)} faces, {less}")
+    print(f"wrote {output}: {len(snapped.vertices)} vertices, {snapped.face_count} faces, {less}")
 
 
 def _check_combination(args: argparse.Namespace) -> None:

@@ -267,7 +267,7 @@ def _cage(path: pathlib.Path) -> Rows:
         ("kind", "cage"),
         *_held(path),
         ("vertices", len(cage.vertices)),
-        ("faces", len(cage.faces)),
+        ("faces", cage.face_count),
         ("edges", len(cage.edges)),
         ("bounds", _box(*cage.bounds)),
         ("size", f"{cage.size:.4g}"),
@@ -282,7 +282,7 @@ def _objects(path: pathlib.Path, names: list[str]) -> Rows:
     rows: Rows = [("kind", f"{len(names)} objects: --cage-object chooses one as the cage")]
     for name in names:
         cage = Cage.load(path, object=name)
-        counts = f"{counted(len(cage.vertices), 'vertex', 'vertices')}, {counted(len(cage.faces), 'face')}"
+        counts = f"{counted(len(cage.vertices), 'vertex', 'vertices')}, {counted(cage.face_count, 'face')}"
         rows.append((f"object {name!r}", f"{counts}, {_box(*cage.bounds)}"))
     return [*rows, *_held(path), ("file", _file_size(path))]
 
@@ -327,7 +327,7 @@ def _poses(path: pathlib.Path) -> Rows:
         ("kind", "poses"),
         ("keyframes", len(poses)),
         ("cage vertices", len(rest.vertices)),
-        ("cage faces", len(rest.faces)),
+        ("cage faces", rest.face_count),
         ("cage bounds", _box(*rest.bounds)),
         ("file", _file_size(path)),
     ]

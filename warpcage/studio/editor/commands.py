@@ -185,7 +185,11 @@ def mirror_edit(document: Document, message: Message) -> Step:
 
     name = f"{edit.name[: MAX_NAME - 10]} mirrored"
     _, document = with_new_edit(
-        document, Cage(mirrored(edit.rest), edit.faces[:, ::-1]), edit.kind, name, edit.object_id
+        document,
+        Cage(mirrored(edit.rest), [face[::-1] for face in edit.rest_cage.polygons]),
+        edit.kind,
+        name,
+        edit.object_id,
     )
     number = document.edits[-1].id
     keys = [

@@ -17,7 +17,8 @@ from ...cage.cage import Cage
 from ...cage.check import outside_text, percent_text, sample_pose
 from ...core.names import error_line
 from ...mesh.faces import column_cross, column_dot, face_edges
-from ...mesh.queries import inside_mesh, intersecting_faces
+from ...mesh.patches import faces_of
+from ...mesh.queries import crossing_faces, inside_mesh
 from ...mesh.validity import first_problem
 from ...render.surface_mesh import AnyObject, SurfaceMesh
 from ...select.selection import visible_mask
@@ -86,7 +87,7 @@ class Inspector:
 
     def _examined(self, cage: Cage) -> RestFindings:
         problem = first_problem(cage)
-        crossing = intersecting_faces(cage.vertices, cage.faces)
+        crossing = crossing_faces(cage)
         share = None
         if not problem and len(self._nodes):
             share = float(inside_mesh(self._nodes, cage).mean())
@@ -94,7 +95,8 @@ class Inspector:
 
     def leaking_faces(self, cage: Cage) -> np.ndarray:
         """The faces (k,), ascending, that visible matter passes through: there is some right outside of them."""
-        edges = face_edges(cage)
+        surface = cage.refined(1)
+        edges = face_edges(surface)
         normals = column_cross(*edges)
         double_area = np.sqrt(column_dot(normals, normals))
         voxel = float(self._side.min())
@@ -107,11 +109,11 @@ class Inspector:
             i, j = np.nonzero(np.tri(count, dtype=bool)[::-1])
             across, along = (i + 1 / 3) / count, (j + 1 / 3) / count
             normal = (normals[:, faces] / double_area[faces]).T
-            corner = cage.vertices[cage.faces[faces, 0]] + FACE_DISTANCE * voxel * normal
+            corner = surface.vertices[surface.faces[faces, 0]] + FACE_DISTANCE * voxel * normal
             one, two = (edge[:, faces].T[:, None] for edge in edges)
             points = corner[:, None] + across[:, None] * one + along[:, None] * two
             leaking.append(faces[self._visible(points).any(axis=1)])
-        return np.sort(np.concatenate(leaking))
+        return faces_of(cage, np.sort(np.concatenate(leaking)), 1)
 
     def _visible(self, points: np.ndarray) -> np.ndarray:
         """Whether the voxels that points (..., 3) lie in can be seen; not where they lie in none."""
@@ -143,24 +145,24 @@ def inspect(document: Document, number: int, field: AnyObject) -> dict[str, Any]
         rest = edit.rest_cage
         pose = rest.with_vertices(edit.posed)
         at_rest = np.array_equal(edit.posed, edit.rest)
-        crossing = known.crossing if at_rest else intersecting_faces(edit.posed, edit.faces)
+        crossing = known.crossing if at_rest else crossing_faces(pose)
         if not problem and not at_rest:
             trouble = first_problem(pose)
             problem = f"The posed cage {trouble}" if trouble else ""
             if not problem:
                 _, folded, outside, _ = sample_pose(rest, pose, POSE_SAMPLES)  # mean value; `Cage.check` looks closer
-    crossing_faces = np.unique(crossing).tolist()
+    crossed = np.unique(crossing).tolist()
     leaking = known.leaking.tolist()
     return {
         "edit": number,
         "pending": False,
         "problem": problem,
-        "crossing_faces": crossing_faces,
+        "crossing_faces": crossed,
         "folded_share": folded,
         "leaking_faces": leaking,
         "outside_share": outside,
         "inside_share": known.inside_share,
-        "lines": _lines(problem, len(crossing_faces), folded, outside, len(leaking), known.inside_share),
+        "lines": _lines(problem, len(crossed), folded, outside, len(leaking), known.inside_share),
     }
 
 

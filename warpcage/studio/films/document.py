@@ -186,7 +186,7 @@ class Edit:
     name: str = option(MISSING, _NAME)
     kind: str = option(MISSING, one_of(*KINDS))  # a copy is a duplicate: the source stays
     visible: bool = option(MISSING, flag())  # whether it acts on the picture
-    faces: np.ndarray = option(MISSING, _ANY)  # (f, 3) int32
+    faces: np.ndarray = option(MISSING, _ANY)  # (f, 3) int32, or polygons as `ClosedMesh.face_array` has them
     rest: np.ndarray = option(MISSING, _ANY)  # (v, 3) float64, the cage around the captured object, world units
     posed: np.ndarray = option(MISSING, _ANY)  # (v, 3) float64
     falloff: float = option(0.0, number(0.0, LARGEST_LENGTH), since=2)  # see `EditSpec`, as for those below
@@ -291,7 +291,7 @@ def new_edit(number: int, cage: ClosedMesh, name: str, kind: str = "move", posed
             f"a cage of {len(cage.vertices)} vertices is too large to edit interactively: at most {MAX_VERTICES}"
         )
     rest = frozen_vertices(cage.vertices)
-    faces = np.array(cage.faces, np.int32)
+    faces = np.array(cage.face_array, np.int32)
     faces.setflags(write=False)
     moved = rest if posed is None else frozen_vertices(posed, len(rest))
     return Edit(number, checked_name(name), checked_choice(kind, "kind", KINDS), True, faces, rest, moved)
@@ -301,7 +301,7 @@ def checked_edit(content: Any) -> Edit:
     """An edit from JSON, or with arrays in it."""
     found = checked_fields(Edit, content)
     rest = frozen_vertices(checked_items(found.pop("rest"), MAX_VERTICES, "rest"))
-    cage = Cage(rest, np.asarray(checked_items(found.pop("faces"), 4 * MAX_VERTICES, "faces")))
+    cage = Cage(rest, checked_items(found.pop("faces"), 4 * MAX_VERTICES, "faces"))
     return dataclasses.replace(new_edit(found["id"], cage, found["name"], posed=found.pop("posed")), **found)
 
 

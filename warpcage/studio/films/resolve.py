@@ -154,7 +154,10 @@ class AssetResolver:
             ups[ending(cage)] = standing.up
         else:
             vertices = self.array(cage["vertices"], "'vertices' of 'cage'")
-            found = Cage(vertices, self.array(cage["faces"], "'faces' of 'cage'"))
+            faces = cage["faces"]
+            if isinstance(faces, str) or len({len(face) for face in faces if isinstance(face, list)}) < 2:
+                faces = self.array(faces, "'faces' of 'cage'")  # others have different numbers of corners
+            found = Cage(vertices, faces)
             found.require_usable("'cage'")
         field_up = getattr(around, "up", None)
         return RestCage(found, ups, None if field_up is None else np.asarray(field_up).tolist())
@@ -299,7 +302,9 @@ class AssetResolver:
             self.report_standing(name, standing, "--posed-up")
             with named_errors(f"cage {name!r} does not fit its rest cage"):
                 found = rest.cage.match(posed)
-            if not np.array_equal(posed.faces, rest.cage.faces) or len(posed.vertices) != len(rest.cage.vertices):
+            if not np.array_equal(posed.face_array, rest.cage.face_array) or len(posed.vertices) != len(
+                rest.cage.vertices
+            ):
                 self.report(f"cage {name!r} has another order of vertices than its rest cage: matched")
             return found
 

@@ -103,7 +103,7 @@ class _EditArrays:
 
     def __init__(self, edit: CageEdit, stem: pathlib.Path):
         rest, faces, self._poses = (stem.with_name(f"{stem.name}.{part}.npy") for part in ("rest", "faces", "poses"))
-        self._arrays = {rest: edit.cage.vertices, faces: edit.cage.faces}
+        self._arrays = {rest: edit.cage.vertices, faces: edit.cage.face_array}
         self._shape, self._rows = edit.cage.vertices.shape, dict[bytes, int]()  # rows of poses by their bytes
         poses = None if edit.remove else self._poses.name
         spec = edit_spec(edit, {"vertices": rest.name, "faces": faces.name}, poses).rest

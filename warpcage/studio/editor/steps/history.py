@@ -185,7 +185,7 @@ class _Pool:
         number = self._by_object.get(id(part))
         if number is None:
             is_array = isinstance(part, np.ndarray)
-            content = base64.b64encode(part.tobytes()).decode() if is_array else part_json(part, self._inner)
+            content = _text(part) if is_array else part_json(part, self._inner)
             text = json.dumps(content)
             number = self._by_text.setdefault(text, len(self.parts))
             if number == len(self.parts):
@@ -234,9 +234,16 @@ class _Reader:
         return dataclasses.replace(checked_key(content | {"poses": poses}), poses=poses)
 
 
+def _text(rows: np.ndarray) -> str:
+    """The base64 of the numbers of an array (n, k), behind k where it is not 3."""
+    width = f"{rows.shape[1]}:" if rows.shape[1] != 3 else ""
+    return width + base64.b64encode(rows.tobytes()).decode()
+
+
 def _rows(text: Any, kind: str) -> np.ndarray:
-    """An array (n, 3) of the base64 of its numbers, read-only."""
-    return np.frombuffer(base64.b64decode(text, validate=True), kind).reshape(-1, 3)
+    """An array from its `_text`, read-only."""
+    width, _, numbers = text.rpartition(":")
+    return np.frombuffer(base64.b64decode(numbers, validate=True), kind).reshape(-1, int(width or 3))
 
 
 #: Parts of a document that are one part of the pool each.

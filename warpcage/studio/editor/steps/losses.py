@@ -78,7 +78,7 @@ def _rough(old: Edit, new: Edit, pairs: _Pairs) -> str | None:
     if not carried or np.array_equal(old.faces, new.faces):
         return None
     finer = old.rest_cage.subdivide()
-    if np.array_equal(finer.faces, new.faces) and np.array_equal(finer.vertices, new.rest):
+    if np.array_equal(finer.face_array, new.faces) and np.array_equal(finer.vertices, new.rest):
         return None
     off = max(_off(old, was, new, pose) for was, pose in carried)
     if off <= TOLERANCE:

@@ -168,7 +168,7 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
     The film gets longer where the file's is."""
     # A keyframe goes into the key of its time, if there is one; those without times are spread evenly over the film.
     edit = document.edit(number)
-    if not np.array_equal(file.rest.faces, edit.faces):
+    if not np.array_equal(file.rest.face_array, edit.faces):
         raise InputError(f"the pose file is of another cage than {edit.name!r}: load it with this cage")
     if not len(file) and not file.cameras:
         raise InputError("the pose file holds no keyframes")
