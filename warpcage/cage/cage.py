@@ -33,9 +33,10 @@ from .up_axis import load_standing
 class Cage(PosableMesh):
     """A mesh that encloses an object, or a part of it; immutable.
 
-    Faces are triangles, or polygons: those of four corners are the bilinear patches between them, others as many patches
-    around their middle, so that all corners of a face count alike. Coordinates are computed on fine triangles over the
-    patches (`surface`), and come back as those of the cage's own vertices. Concave polygons are cut into triangles.
+    Faces are triangles, or polygons: those of four corners are the bilinear patches between them, others as many
+    patches around their middle, so that all corners of a face count alike. Coordinates are computed on fine triangles
+    over the patches (`surface`), and come back as those of the cage's own vertices. Concave polygons are cut into
+    triangles.
 
     The constructor takes open, inverted and self-intersecting meshes too, so that `check` can describe and `repair`
     mend them. The coordinate functions and `Deformer` call `require_usable`, which refuses them.
@@ -157,9 +158,9 @@ class Cage(PosableMesh):
     ) -> Cage:
         """Read an OBJ, PLY, OFF or glTF file, or one of another package's format (`warpcage.mesh.MeshFormat`).
 
-        All vertices keep their order, used or not, and polygons stay polygons; glTF has triangles alone. In glTF files, and in PLY files with texture
-        coordinates or normals, vertices at one place that differ in these alone are one, at the place of the first in
-        the order: programs split vertices so along seams.
+        All vertices keep their order, used or not, and polygons stay polygons; glTF has triangles alone. In glTF files,
+        and in PLY files with texture coordinates or normals, vertices at one place that differ in these alone are one,
+        at the place of the first in the order: programs split vertices so along seams.
 
         Args:
             path: The file; its ending says which format it has.

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 import warp as wp
+from polygon_cages import quad_box
 from splat_scenes import splats_in_box
 from test_splat_pose import AFFINE, BOX, TURN, forward_map
 
-from warpcage import Cage, CageEdit, Deformer
+from warpcage import Cage, CageEdit, Deformer, deform_points
+from warpcage.coordinate_kinds import COORDINATE_KINDS
 from warpcage.coordinates import stretched_normals
 from warpcage.deform import shared_ways
 from warpcage.kernels.splats.pose import CarriedSplats
@@ -66,6 +68,21 @@ def test_packed_poses_are_those_of_whole_rows(kind, device):
     np.testing.assert_allclose(packed, whole, atol=1e-6)
     np.testing.assert_allclose(near, jacobians, atol=5e-4)
     assert (near != jacobians).any()
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+def test_points_bound_to_quads_have_rows_of_the_cages_own_vertices(kind, packed, device, monkeypatch):
+    monkeypatch.setattr(binding, "CHUNK", 64)
+    cage, cells = quad_box(2, 0.1), COORDINATE_KINDS[kind].face_cells
+    rest, posed = cage.refined(cells), cage.twist(40).refined(cells)
+    points = np.random.default_rng(1).uniform(-0.7, 0.7, (150, 3))
+    found, _ = carried(kind, points, rest, posed, device, packed)
+    expected = deform_points(points, cage, cage.twist(40), kind, device=device)
+    np.testing.assert_allclose(found, expected, atol=(1e-2 if kind == "harmonic" else 5e-6) * cage.size)
+    rows = len(cage.vertices) + (len(rest.faces) if kind == "green" else 0)
+    if not packed:
+        assert CageBinding(points, rest, kind, ORIGIN, wp.get_device(device), 32, packed).rows.shape[0] == rows
 
 
 @pytest.mark.parametrize("packed", [False, True])

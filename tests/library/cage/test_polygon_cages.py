@@ -1,0 +1,245 @@
+"""Quads and other polygons of cages: kept by files, matched in any order, checked, mended, cut, snapped and posed."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+from polygon_cages import (
+    CUBE_CORNERS,
+    CUBE_QUADS,
+    concave_prism,
+    mixed_prism,
+    quad_box,
+    quad_cube,
+    reordered,
+    triangulated,
+)
+from refusals import refused
+
+from warpcage import Cage, PoseFile, RandomPoses
+
+CAGES = {"cube": quad_cube, "warped": lambda: quad_box(2, 0.2), "mixed": mixed_prism, "concave": concave_prism}
+FORMATS = ["obj", "ply", "off", "usda", "usdc"]
+
+
+# -- Files
+
+
+@pytest.mark.parametrize("name", CAGES)
+@pytest.mark.parametrize("ending", FORMATS)
+def test_files_hold_polygons_as_they_came(name, ending, tmp_path):
+    if ending.startswith("usd"):
+        pytest.importorskip("pxr")
+    cage, path = CAGES[name](), tmp_path / f"cage.{ending}"
+    cage.save(path)
+    loaded = Cage.load(path)
+    assert loaded.polygons == cage.polygons
+    np.testing.assert_allclose(loaded.vertices, cage.vertices, atol=0.0 if "usd" not in ending else 1e-6)
+    loaded.save(tmp_path / f"again.{ending}")
+    assert (tmp_path / f"again.{ending}").read_bytes() == path.read_bytes()
+
+
+def test_a_polygon_of_many_corners_is_written_to_ply(tmp_path):
+    angles = 2.0 * np.pi * np.arange(300) / 300
+    ring = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    faces = [[k, (k + 1) % 300, 300] for k in range(300)] + [list(range(299, -1, -1))]
+    cage = Cage(np.concatenate([ring, [[0.0, 0.0, 1.0]]]), faces)
+    cage.save(tmp_path / "cone.ply")
+    assert Cage.load(tmp_path / "cone.ply").polygons == cage.polygons
+
+
+def test_gltf_has_the_triangles_of_polygons(tmp_path):
+    cage = quad_box(2, 0.1)
+    cage.save(tmp_path / "cage.glb")
+    loaded = Cage.load(tmp_path / "cage.glb")
+    np.testing.assert_array_equal(loaded.faces, cage.faces)
+    np.testing.assert_allclose(cage.match(loaded).vertices, cage.vertices, atol=1e-6)
+
+
+def test_files_of_triangles_are_what_they_were(tmp_path):
+    cage = Cage.box([0, 0, 0], [1, 1, 1])
+    cage.save(tmp_path / "box.obj")
+    lines = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in cage.faces.tolist()]
+    assert (tmp_path / "box.obj").read_text().splitlines()[9:] == lines
+    PoseFile(cage, {"up": cage.translate((0, 0, 1))}).save(tmp_path / "box.json")
+    assert json.loads((tmp_path / "box.json").read_text())["cage"]["faces"] == cage.faces.tolist()
+
+
+@pytest.mark.parametrize("name", CAGES)
+def test_pose_files_hold_polygons(name, tmp_path):
+    cage = CAGES[name]()
+    PoseFile(cage, {"twisted": cage.twist(20.0)}).save(tmp_path / "poses.json")
+    alone, fitted = PoseFile.load(tmp_path / "poses.json"), PoseFile.load(tmp_path / "poses.json", cage)
+    for file in (alone, fitted):
+        assert file.rest.polygons == file["twisted"].polygons == cage.polygons
+        np.testing.assert_array_equal(file["twisted"].vertices, cage.twist(20.0).vertices)
+    # one of before, when polygons were cut as they were read
+    PoseFile(triangulated(cage), {"twisted": triangulated(cage.twist(20.0))}).save(tmp_path / "old.json")
+    old = PoseFile.load(tmp_path / "old.json", cage)
+    assert old["twisted"].polygons == cage.polygons
+    np.testing.assert_array_equal(old["twisted"].vertices, cage.twist(20.0).vertices)
+
+
+def test_films_of_usd_hold_polygons(tmp_path):
+    pytest.importorskip("pxr")
+    cage = mixed_prism()
+    film = PoseFile(cage, {"a": cage, "b": cage.bend(20.0)})
+    film.save(tmp_path / "film.usda")
+    assert Cage.load(tmp_path / "film.usda").polygons == cage.polygons
+    assert PoseFile.load(tmp_path / "film.usda", cage).rest is cage
+
+
+def test_cages_are_pickled_with_their_polygons():
+    cage = quad_box(2, 0.1)
+    held = cage.surface.volume
+    copied = pickle.loads(pickle.dumps(cage))
+    assert copied.polygons == cage.polygons and copied.surface.volume == held
+
+
+# -- Faces as they are given
+
+
+def test_faces_are_arrays_or_the_corners_of_each():
+    cage = mixed_prism()
+    assert cage.face_array.shape == (9, 5) and cage.face_array.dtype == np.int32
+    assert Cage(cage.vertices, cage.face_array).polygons == cage.polygons
+    assert Cage(cage.vertices, cage.polygons).polygons == cage.polygons
+    assert cage.face_count == 9 and cage.faces.shape == (2 * 3 + 3 * 2 + 4, 3) and len(cage.edges) == 17
+    assert "9 faces" in repr(cage)
+
+
+@pytest.mark.parametrize(
+    ("faces", "said"),
+    [
+        ([[0, 1, 2, 3], [4, 5, 9]], r"cage face 1 is \[4, 5, 9\], indices must be 0 to 7"),
+        ([[0, 1, 2, 3], [4, 5]], "at least 3 vertices each, got one of 2"),
+        ([[0, 1, 2, -1, 3], [4, 5, 6, 7, 0]], "-1 stands behind the last corner only"),
+        (np.zeros((2, 4)), "whole numbers"),
+        ([[0, 1, -1, -1]], "indices must be 0 to 7"),
+    ],
+)
+def test_faces_that_cannot_be_are_refused_in_one_line(faces, said):
+    refused(lambda: Cage(CUBE_CORNERS, faces), match=said)
+
+
+def test_with_vertices_and_poses_keep_polygons():
+    cage = mixed_prism()
+    for posed in (cage.bend(20.0), cage.twist(10.0), cage.symmetrise("y"), cage.named("a"), cage.random_pose(3)):
+        assert posed.polygons == cage.polygons and posed.polygon_faces is cage.polygon_faces
+
+
+# -- Matching
+
+
+@pytest.mark.parametrize("name", CAGES)
+def test_a_pose_in_another_order_is_matched(name):
+    cage = CAGES[name]()
+    cage = cage.with_vertices(cage.vertices + 0.05 * np.random.default_rng(2).normal(size=cage.vertices.shape))
+    posed = cage.twist(15.0).translate((0.1, 0.2, 0.3))
+    for seed in range(3):
+        other, _ = reordered(posed, seed)
+        np.testing.assert_array_equal(cage.match(other).vertices, posed.vertices)
+        assert cage.match(other).polygons == cage.polygons
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2])
+@pytest.mark.parametrize("name", CAGES)
+def test_a_pose_of_triangles_is_matched_and_the_other_way_round(name, turn):
+    cage = CAGES[name]()
+    posed = cage.twist(15.0)
+    np.testing.assert_array_equal(cage.match(triangulated(posed, turn)).vertices, posed.vertices)
+    np.testing.assert_array_equal(triangulated(cage, turn).match(posed).vertices, posed.vertices)
+
+
+def test_other_faces_do_not_match():
+    cage = quad_box(2, 0.1)
+    swapped = list(cage.polygons)
+    swapped[0] = (swapped[0][0], swapped[0][2], swapped[0][1], swapped[0][3])
+    refused(lambda: cage.match(Cage(cage.vertices, swapped)), match="the pose ")
+
+
+# -- Check, repair, finer ones
+
+
+def test_checks_count_polygons_and_name_concave_and_warped_ones():
+    report = mixed_prism().check()
+    assert report.usable and (report.face_count, report.genus, report.planarity) == (9, 0, pytest.approx(0, abs=1e-12))
+    assert report.concave_faces == () and "concave" not in str(report) and not report.intersecting_faces
+    report = concave_prism().check()
+    assert report.usable and report.concave_faces == (0, 1) and "concave faces" in str(report)
+    lifted = quad_cube().move((0.0, 0.0, 1.0), group=[7])
+    assert lifted.check().planarity == pytest.approx(0.25 / 2.0, rel=0.2) and "off their plane" in str(lifted.check())
+    assert report.volume == pytest.approx(3.0) and quad_cube().volume == pytest.approx(8.0)
+
+
+def test_volumes_are_those_of_bilinear_patches():
+    # under a patch over the unit square, heights 0, 0, 0 and h: the integral of h x y is h / 4
+    lifted = quad_cube().move((0.0, 0.0, 1.0), group=[7])
+    assert lifted.refined(1).volume == pytest.approx(8.0 + 4.0 * 0.25, abs=0.1)
+    off = [abs(lifted.refined(cells).volume - 9.0) for cells in (1, 2)]
+    assert off[1] <= off[0] + 1e-12 and off[1] < 1e-6
+
+
+def test_faults_are_named_by_polygons():
+    faces = [list(face) for face in CUBE_QUADS]
+    assert "is open: 4 edges" in Cage(CUBE_CORNERS, faces[1:]).check().problem
+    turned = [faces[0][::-1], *faces[1:]]
+    assert len(Cage(CUBE_CORNERS, turned).check().clashing_edges) == 4
+    inside_out = Cage(CUBE_CORNERS, [face[::-1] for face in faces])
+    assert inside_out.check().inward_parts == (0,) and inside_out.volume == pytest.approx(-8.0)
+    flat = quad_cube().with_vertices(CUBE_CORNERS * (1, 1, 0))
+    assert flat.check().problem
+    crossing = quad_cube().move((0.0, 0.0, -3.0), group=[7])
+    assert crossing.check().intersecting_faces
+
+
+def test_repairs_keep_polygons():
+    faces = [list(face) for face in CUBE_QUADS]
+    turned = [faces[0], faces[1][::-1], *faces[2:]]
+    mended, notes = Cage(CUBE_CORNERS, turned).repair()
+    assert mended.polygons == tuple(map(tuple, faces)) and notes == (
+        "flipped 1 face that was wound against their neighbours, the first 1",
+    )
+    mended, notes = Cage(CUBE_CORNERS, faces[1:]).repair()
+    assert mended.check().usable and mended.polygons[:5] == tuple(map(tuple, faces[1:])) and "closed a hole" in notes[0]
+    mended, _ = Cage(CUBE_CORNERS, [face[::-1] for face in faces]).repair()
+    assert mended.volume == pytest.approx(8.0) and mended.face_count == 6
+    twice = np.concatenate([CUBE_CORNERS, CUBE_CORNERS[7:]])
+    apart = [[8 if corner == 7 and k == 1 else corner for corner in face] for k, face in enumerate(faces)]
+    mended, notes = Cage(twice, apart).repair()
+    assert mended.polygons == tuple(map(tuple, faces)) and notes[0].startswith("merged 1 vertex")
+    cage = quad_cube()
+    assert cage.repair() == (cage, ())
+
+
+@pytest.mark.parametrize("name", CAGES)
+def test_finer_cages_have_the_same_surface(name):
+    cage = CAGES[name]()
+    finer = cage.subdivide()
+    assert finer.check().usable and finer.topology.genus == cage.topology.genus
+    np.testing.assert_array_equal(finer.vertices[: len(cage.vertices)], cage.vertices)
+    if name != "concave":
+        corners = sum(len(face) for face in cage.polygons if len(face) > 3)
+        assert finer.face_count == corners + 4 * sum(len(face) == 3 for face in cage.polygons)
+    flat = name != "warped"
+    assert finer.volume == pytest.approx(cage.volume, rel=1e-9 if flat else 1e-3)
+
+
+def test_random_poses_of_quads_stay_within_their_bounds():
+    cage = quad_box(2, 0.05)
+    poses = RandomPoses(cage, seed=1)
+    for number in range(3):
+        posed = poses.pose(number)
+        assert posed.polygons == cage.polygons and not cage.check(pose=posed).pose.intersecting_faces
+    assert np.abs(poses.pose(0).vertices - cage.vertices).max() > 0.01
+
+
+def test_points_inside_are_those_of_the_bilinear_patch(device):
+    lifted = quad_cube().move((0.0, 0.0, 1.0), group=[7])
+    random = np.random.default_rng(0).uniform(-1.0, 1.0, (2000, 2))
+    heights = np.random.default_rng(1).uniform(0.9, 2.0, 2000)
+    top = 1.0 + 0.25 * (1.0 + random[:, 0]) * (1.0 + random[:, 1])
+    clear = np.abs(heights - top) > 0.02
+    found = lifted.contains(np.column_stack([random, heights]), device=device)
+    np.testing.assert_array_equal(found[clear], (heights < top)[clear])
