@@ -2,9 +2,11 @@
 
 import subprocess
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 import trimesh
+from polygon_cages import quad_box
 from runs import command, succeed
 
 from warpcage import Cage, VoxelField
@@ -116,3 +118,46 @@ def test_pose_takes_steps_in_their_order(files, tmp_path, capsys):
     succeed(files, "pose", tmp_path / "y.obj", "-o", tmp_path / "y.ply", "--stretch", 2, "--cage-up", "y")
     np.testing.assert_allclose(Cage.load(tmp_path / "y.ply", up="y").vertices, rest.stretch(2.0).vertices)
     assert "twist 30.0, taper 0.5" in capsys.readouterr().out
+
+
+def test_quads_go_through_all_commands(files, tmp_path, capsys):
+    """From a cage of quads to pictures of mirrored poses, which mirror each other; check and info count quads."""
+    rest = quad_box(1).scale(0.8)
+    rest.save(tmp_path / "rest.obj")
+    pictures = []
+    for side, corner in (("left", 4), ("right", 5)):  # at x < 0 and x > 0
+        posed = tmp_path / f"{side}.obj"
+        rest.move((0.0, 0.0, 0.5), group=[corner]).save(posed)
+        view = [
+            "--eye",
+            "0",
+            "-3",
+            "0.5",
+            "--target",
+            "0",
+            "0",
+            "0",
+            "--size",
+            "64",
+            "64",
+            "--device",
+            "cpu",
+            "--background",
+            "white",
+        ]
+        argv = ["@ball.npz", "--cage", tmp_path / "rest.obj", "--posed", posed, "-o", tmp_path / f"{side}.png"]
+        succeed(files, "render", *argv, *view)
+        pictures.append(iio.imread(tmp_path / f"{side}.png").min(axis=2) < 200)  # on white
+    assert (pictures[0] != pictures[1]).mean() > 0.02
+    assert (pictures[0] != pictures[1][:, ::-1]).mean() < 0.005
+    film = ["@ball.npz", "--cage", tmp_path / "rest.obj", "--posed", tmp_path / "left.obj", "-o", tmp_path / "film"]
+    succeed(files, "animate", *film, *view, "--frames", 2, "--quiet")
+    assert len(list((tmp_path / "film").iterdir())) == 2
+    capsys.readouterr()
+    succeed(files, "check", tmp_path / "rest.obj", "--object", "@ball.npz", "--posed", tmp_path / "left.obj")
+    said = capsys.readouterr().out
+    assert "8, 6" in said and "usable" in said
+    succeed(files, "info", tmp_path / "rest.obj")
+    assert "6" in next(line for line in capsys.readouterr().out.splitlines() if line.startswith("faces"))
+    succeed(files, "pose", tmp_path / "rest.obj", "-o", tmp_path / "bent.ply", "--bend", 30)
+    assert Cage.load(tmp_path / "bent.ply").polygons == rest.polygons
