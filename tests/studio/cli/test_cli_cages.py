@@ -128,28 +128,12 @@ def test_quads_go_through_all_commands(files, tmp_path, capsys):
     for side, corner in (("left", 4), ("right", 5)):  # at x < 0 and x > 0
         posed = tmp_path / f"{side}.obj"
         rest.move((0.0, 0.0, 0.5), group=[corner]).save(posed)
-        view = [
-            "--eye",
-            "0",
-            "-3",
-            "0.5",
-            "--target",
-            "0",
-            "0",
-            "0",
-            "--size",
-            "64",
-            "64",
-            "--device",
-            "cpu",
-            "--background",
-            "white",
-        ]
+        view = "--eye 0 -3 0.5 --target 0 0 0 --size 64 64 --device cpu --background white".split()
         argv = ["@ball.npz", "--cage", tmp_path / "rest.obj", "--posed", posed, "-o", tmp_path / f"{side}.png"]
         succeed(files, "render", *argv, *view)
         pictures.append(iio.imread(tmp_path / f"{side}.png").min(axis=2) < 200)  # on white
-    assert (pictures[0] != pictures[1]).mean() > 0.02
-    assert (pictures[0] != pictures[1][:, ::-1]).mean() < 0.005
+    assert (pictures[0] != pictures[1]).mean() > 0.01
+    assert (pictures[0] != pictures[1][:, ::-1]).mean() < 0.002
     film = ["@ball.npz", "--cage", tmp_path / "rest.obj", "--posed", tmp_path / "left.obj", "-o", tmp_path / "film"]
     succeed(files, "animate", *film, *view, "--frames", 2, "--quiet")
     assert len(list((tmp_path / "film").iterdir())) == 2
