@@ -11,6 +11,7 @@ from editor_pages import BOX, new_session
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages import MESSAGES
+from polygon_cages import mixed_prism, triangulated
 from scipy.spatial.transform import Rotation
 
 from warpcage import Cage
@@ -30,6 +31,7 @@ from warpcage.studio.editor import (
     new_edit,
     parsed_json,
     preset_pose,
+    read_history,
     replace_cage,
     run_command,
 )
@@ -467,3 +469,28 @@ def test_walls_and_fragments_of_an_edit_are_changed_kept_and_checked():
     assert (older.edits[0].falloff, older.edits[0].held, older.edits[0].fragments) == (0.0, "cut", 0.0)
     assert older.settings.fill is False and done(start, do="settings", fill=True).settings.fill is True
     refused(start, do="settings", fill="yes")
+
+
+# -- Cages of polygons
+
+
+def test_polygons_stay_in_documents_commands_and_undo_steps():
+    cage = mixed_prism()
+    start = done(document(cage), do="pose.set", edit=1, vertices=moved(cage.vertices).tolist())
+    assert start.edits[0].rest_cage.polygons == start.edits[0].posed_cage.polygons == cage.polygons
+    again = Document.from_json(parsed_json(json.dumps(start.to_json())))
+    assert again.edits[0].rest_cage.polygons == cage.polygons and again.edits[0].faces.dtype == np.int32
+    finer = done(start, do="cage.subdivide", edit=1).edits[0]
+    assert finer.rest_cage.polygons == cage.subdivide().polygons
+    np.testing.assert_allclose(finer.posed, moved(finer.rest), atol=1e-12)
+    other = done(start, do="cage.mirror", edit=1, axis="x", place=0.5).edits[1]
+    assert other.rest_cage.polygons == tuple(face[::-1] for face in cage.polygons) and other.rest_cage.volume > 0.0
+    _, replaced = replace_cage(start, 1, triangulated(cage.translate((0.1, 0.0, 0.0))), "the same, cut")
+    assert replaced.edits[0].rest_cage.polygons == cage.polygons
+    session = new_session(cages=(cage,))
+    session.run({"do": "pose.set", "edit": 1, "vertices": moved(cage.vertices).tolist()})
+    session.run({"do": "cage.subdivide", "edit": 1})
+    kept = json.loads(json.dumps(session.history.to_json(session.document, session.fields)))
+    steps, lost = read_history(kept, session.fields, None)
+    assert lost is None and len(steps.undo_steps) == 2
+    assert [step.edits[0].rest_cage.polygons for _, step in steps.undo_steps] == [cage.polygons] * 2

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from page_probe import HEIGHT, VIEW, WIDTH, Modules, camera, flat, hull, looked, projected, whole
+from polygon_cages import mixed_prism
 from scipy.optimize import minimize_scalar
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -127,7 +128,7 @@ def two_parts(page: Modules) -> tuple[np.ndarray, np.ndarray, Any]:
     first, faces = hull(30, 1)
     second, more = hull(12, 2)
     points, faces = np.concatenate([first, second + 5]), np.concatenate([faces, more + 30])
-    made = page.call("geometry/topology", "makeTopology", whole(faces), len(points))
+    made = page.call("geometry/topology", "makeTopology", faces.tolist(), len(points))
     made["faces"], made["edges"] = whole(faces), whole(made["edges"])
     return points, faces, made
 
@@ -153,6 +154,27 @@ def test_edges_neighbors_and_parts(two_parts: tuple[np.ndarray, np.ndarray, Any]
     assert count == 2 and np.array_equal(parts == parts[0], np.array(made["parts"]) == made["parts"][0])
 
 
+def test_polygons_have_edges_and_no_diagonals(page: Modules) -> None:
+    cage = mixed_prism()
+    polygons = page.call("geometry/topology", "wholePolygons", cage.face_array.tolist())
+    assert polygons == [list(face) for face in cage.polygons]
+    made = page.call("geometry/topology", "makeTopology", polygons, len(cage.vertices))
+    edges = np.reshape(made["edges"], (-1, 2))
+    assert sorted(map(tuple, edges.tolist())) == sorted(map(tuple, cage.edges.tolist()))
+    for i, near in enumerate(made["neighbors"]):
+        assert sorted(near) == sorted({*cage.edges[cage.edges[:, 0] == i, 1], *cage.edges[cage.edges[:, 1] == i, 0]})
+    triangles, owner = np.reshape(made["faces"], (-1, 3)), made["owner"]
+    assert np.bincount(owner).tolist() == [len(face) - 2 for face in polygons]
+    for corners, number, numbers in zip(triangles, owner, np.reshape(made["faceEdges"], (-1, 3)), strict=True):
+        assert set(corners) <= set(polygons[number])
+        for k in range(3):
+            side = {corners[k], corners[(k + 1) % 3]}
+            assert numbers[k] < 0 or set(edges[numbers[k]]) == side
+            assert (numbers[k] >= 0) == any(side == set(edge) for edge in edges.tolist())
+    within = page.call("geometry/topology", "facesWithin", polygons, {"set": list(range(5))})
+    assert within == [0]
+
+
 def test_linked_grow_shrink_and_invert(page: Modules, two_parts: tuple[np.ndarray, np.ndarray, Any]) -> None:
     points, faces, made = two_parts
     adjacent = matrix(faces, len(points))
@@ -166,7 +188,7 @@ def test_linked_grow_shrink_and_invert(page: Modules, two_parts: tuple[np.ndarra
     assert after("grow", chosen) == np.flatnonzero(chosen | adjacent[chosen].any(axis=0)).tolist()
     assert after("shrink", chosen) == np.flatnonzero(chosen & ~adjacent[~chosen].any(axis=0)).tolist()
     assert after("invert", chosen) == np.flatnonzero(~chosen).tolist()
-    within = page.call("geometry/topology", "facesWithin", whole(faces), {"set": np.flatnonzero(chosen).tolist()})
+    within = page.call("geometry/topology", "facesWithin", faces.tolist(), {"set": np.flatnonzero(chosen).tolist()})
     assert within == np.flatnonzero(chosen[faces].all(axis=1)).tolist()
 
 
@@ -179,7 +201,7 @@ def test_normals_and_the_side_that_looks_at_the_eye(page: Modules) -> None:
     normals[flipped] *= -1
     volume = page.call("geometry/topology", "signedVolume", whole(faces), flat(points))
     assert np.isclose(volume, 6 * ConvexHull(points).volume)
-    made = page.call("geometry/topology", "makeTopology", whole(faces), len(points))
+    made = page.call("geometry/topology", "makeTopology", faces.tolist(), len(points))
     eye = np.array([3.0, 1.0, -2.0])
     front = ((eye - points[faces[:, 0]]) * normals).sum(axis=1) > 0
     seen = page.call("geometry/topology", "facing", {**made, "faces": whole(faces)}, flat(points), eye.tolist(), 1)
@@ -242,7 +264,7 @@ def test_regions_take_whole_edges_and_faces_by_their_middle(page: Modules) -> No
     script = """
     const [screen, faces, done] = arguments;
     Promise.all([import("/geometry/pick.js"), import("/geometry/topology.js")]).then(([pick, topology]) => {
-      const made = topology.makeTopology(Int32Array.from(faces), screen.length / 3);
+      const made = topology.makeTopology(faces, screen.length / 3);
       const points = Float64Array.from(screen);
       const inside = pick.region(points, (s) => pick.inRectangle(s, 0, 0, 10, 10));
       const modes = ["vertex", "edge", "face"];
@@ -251,8 +273,7 @@ def test_regions_take_whole_edges_and_faces_by_their_middle(page: Modules) -> No
     """
     screen = [[1, 1, 1], [9, 1, 1], [1, 14, 1], [30, 30, 1], [5, 5, 1]]
     faces = [[0, 1, 2], [1, 2, 3]]
-    flat_screen, flat_faces = np.ravel(screen).tolist(), np.ravel(faces).tolist()
-    found = page.driver.execute_async_script(script, flat_screen, flat_faces)
+    found = page.driver.execute_async_script(script, np.ravel(screen).tolist(), faces)
     assert found == [[0, 1, 4], [0, 1], [0, 1, 2]]
 
 

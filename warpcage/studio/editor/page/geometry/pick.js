@@ -99,12 +99,11 @@ export function verticesInRegion(mode, topology, screen, inside, allowed = every
   const taken = (i) => inside[i] && allowed(i);
   const out = new Set();
   if (mode === "vertex") inside.forEach((_, i) => taken(i) && out.add(i));
-  const { edges, faces } = topology;
+  const { edges, polygons } = topology;
   for (let e = 0; mode === "edge" && e < edges.length; e += 2) {
     if (taken(edges[e]) && taken(edges[e + 1])) out.add(edges[e]).add(edges[e + 1]);
   }
-  for (let f = 0; mode === "face" && f < faces.length; f += 3) {
-    const corners = faces.subarray(f, f + 3);
+  for (const corners of mode === "face" ? polygons : []) {
     if (inside.ofMiddle(corners) && corners.some(allowed)) corners.forEach((i) => out.add(i));
   }
   return out;
@@ -116,7 +115,7 @@ export function region(screen, test) {
   inside.ofMiddle = (corners) => {
     const middle = [0, 0, Infinity];
     for (const i of corners) {
-      for (let k = 0; k < 2; k += 1) middle[k] += screen[3 * i + k] / 3;
+      for (let k = 0; k < 2; k += 1) middle[k] += screen[3 * i + k] / corners.length;
       middle[2] = Math.min(middle[2], screen[3 * i + 2]);
     }
     return test(Float64Array.from(middle))[0];

@@ -1,19 +1,28 @@
-// Edges, neighbors and parts of a cage. Faces are flat (a0, b0, c0, a1, ...), selections are sets of vertex numbers.
+// Edges, neighbors and parts of a cage. Polygons are lists of corners, faces the triangles that they are cut into, flat
+// (a0, b0, c0, a1, ...); selections are sets of vertex numbers.
 
 import { add, cross, dot, point, subtract } from "./vectors.js";
 
-/** Edges (flat pairs, smaller number first), three edges of each face, neighbors and part of each vertex. */
-export function makeTopology(faces, count) {
+/** Polygons without what stands behind their last corner, -1. */
+export const wholePolygons = (polygons) => polygons.map((corners) => corners.filter((i) => i >= 0));
+
+/** Triangles of polygons, the polygon of each, edges of polygons (flat pairs, smaller number first), three edges of each
+ * triangle (-1: it is inside of a polygon), neighbors and part of each vertex. */
+export function makeTopology(polygons, count) {
+  const cut = (corners) => corners.slice(2).flatMap((c, k) => [corners[0], corners[k + 1], c]);
+  const faces = Int32Array.from(polygons.flatMap(cut));
+  const owner = Int32Array.from(polygons.flatMap((corners, number) => corners.slice(2).map(() => number)));
   const neighbors = Array.from({ length: count }, () => []);
   const seen = new Map(); // edge by its two vertices -> its number
   const edges = [];
   const faceEdges = new Int32Array(faces.length).fill(-1);
   for (let f = 0; f < faces.length; f += 3) {
+    const [isFirst, isLast] = [owner[f / 3 - 1] !== owner[f / 3], owner[f / 3 + 1] !== owner[f / 3]];
     for (let k = 0; k < 3; k += 1) {
       const a = Math.min(faces[f + k], faces[f + ((k + 1) % 3)]);
       const b = Math.max(faces[f + k], faces[f + ((k + 1) % 3)]);
       const name = a * count + b;
-      if (a === b) continue;
+      if (a === b || (k === 0 && !isFirst) || (k === 2 && !isLast)) continue;
       faceEdges[f + k] = seen.get(name) ?? edges.length / 2;
       if (seen.has(name)) continue;
       seen.set(name, edges.length / 2);
@@ -36,7 +45,7 @@ export function makeTopology(faces, count) {
     }
     part += 1;
   }
-  return { count, faces, edges: Int32Array.from(edges), faceEdges, neighbors, parts };
+  return { count, polygons, faces, owner, edges: Int32Array.from(edges), faceEdges, neighbors, parts };
 }
 
 /** All vertices that hang together with any of these. */
@@ -60,13 +69,9 @@ export function invert(topology, selected) {
   return new Set(Array.from({ length: topology.count }, (_, i) => i).filter((i) => !selected.has(i)));
 }
 
-/** Numbers of the faces with all three vertices selected. */
-export function facesWithin(faces, selected) {
-  const out = [];
-  for (let f = 0; f < faces.length / 3; f += 1) {
-    if (selected.has(faces[3 * f]) && selected.has(faces[3 * f + 1]) && selected.has(faces[3 * f + 2])) out.push(f);
-  }
-  return out;
+/** Numbers of the polygons with all vertices selected. */
+export function facesWithin(polygons, selected) {
+  return [...polygons.keys()].filter((number) => polygons[number].every((i) => selected.has(i)));
 }
 
 /** Six times the volume that the faces enclose: positive where they look outwards. */

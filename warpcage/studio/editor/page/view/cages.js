@@ -3,7 +3,7 @@
 import { store } from "../core/store.js";
 import { ask, guard, when } from "../core/connection.js";
 import { toast } from "../core/dialogs.js";
-import { makeTopology, signedVolume } from "../geometry/topology.js";
+import { makeTopology, signedVolume, wholePolygons } from "../geometry/topology.js";
 import { bounds, distance } from "../geometry/vectors.js";
 
 /** id -> {id, name, kind, visible, faces, topology, rest, posed, size, sense}; faces and points are flat. */
@@ -109,7 +109,8 @@ export function expectAnswer() {
 }
 
 function sameFaces(cage, faces) {
-  return cage.faces.length === 3 * faces.length && faces.every((face, f) => face.every((v, k) => v === cage.faces[3 * f + k]));
+  const { polygons } = cage.topology;
+  return polygons.length === faces.length && faces.every((face, f) => face.every((v, k) => v === (polygons[f][k] ?? -1)));
 }
 
 function take(edits) {
@@ -119,8 +120,8 @@ function take(edits) {
     const before = cages.get(edit.id);
     const cage = before ?? { id: edit.id };
     if (!before || before.rest.length !== 3 * edit.rest.length || !sameFaces(before, edit.faces)) {
-      cage.faces = Int32Array.from(edit.faces.flat());
-      cage.topology = makeTopology(cage.faces, edit.rest.length);
+      cage.topology = makeTopology(wholePolygons(edit.faces), edit.rest.length);
+      cage.faces = cage.topology.faces;
     }
     Object.assign(cage, { name: edit.name, kind: edit.kind, visible: edit.visible });
     for (const name of ["rest", "posed"]) {

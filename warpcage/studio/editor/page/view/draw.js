@@ -116,8 +116,8 @@ function fillFaces(context, cage, screen, numbers, color, rim = null) {
   context.fillStyle = color;
   context.beginPath();
   for (const f of numbers) {
-    const corners = cage.faces.subarray(3 * f, 3 * f + 3);
-    if (corners.length < 3 || [...corners].some((i) => screen[3 * i + 2] <= 0)) continue;
+    const corners = cage.topology.polygons[f] ?? [];
+    if (corners.length < 3 || corners.some((i) => screen[3 * i + 2] <= 0)) continue;
     corners.forEach((i, k) => context[k ? "lineTo" : "moveTo"](screen[3 * i], screen[3 * i + 1]));
     context.closePath();
   }
@@ -178,7 +178,7 @@ export function drawCage(context, camera, cage, points, look) {
     fillFaces(context, cage, screen, check.leaking_faces ?? [], INK.leakingFace, INK.leaking); // what they cut stays in sight
     fillFaces(context, cage, screen, check.crossing_faces ?? [], INK.crossing);
   }
-  if (mode === "face") fillFaces(context, cage, screen, facesWithin(cage.faces, selected), INK.selectedFace);
+  if (mode === "face") fillFaces(context, cage, screen, facesWithin(cage.topology.polygons, selected), INK.selectedFace);
   const front = facing(cage.topology, points, camera.eye, cage.sense);
   const paths = edgePaths(camera, cage, points, screen, hidden, front, isSelected);
   if (cage.topology.edges.length / 2 > MAX_RICH) drawPlain(context, paths);

@@ -30,7 +30,7 @@ function elementOf(cage, x, y, reach) {
   const mode = C.pickMode();
   const screen = screenOf(cage);
   const allowed = allowedOf(cage);
-  const { edges, faces } = cage.topology;
+  const { edges, faces, owner, polygons } = cage.topology;
   let vertices = null;
   let number = -1;
   if (mode === "vertex") {
@@ -40,8 +40,9 @@ function elementOf(cage, x, y, reach) {
     number = P.edgeAt(screen, edges, x, y, reach, (e) => allowed(edges[2 * e]) || allowed(edges[2 * e + 1]));
     vertices = [edges[2 * number], edges[2 * number + 1]];
   } else {
-    number = P.faceAt(screen, faces, x, y, (f) => [0, 1, 2].some((k) => allowed(faces[3 * f + k])));
-    vertices = [...faces.subarray(3 * number, 3 * number + 3)];
+    number = P.faceAt(screen, faces, x, y, (f) => polygons[owner[f]].some(allowed));
+    if (number >= 0) number = owner[number];
+    vertices = polygons[number] ?? [];
   }
   return number < 0 ? null : { cage, mode, number, vertices };
 }
@@ -112,12 +113,10 @@ function pickBy(mode) {
   const chosen = C.selected();
   let kept = chosen;
   if (mode !== "vertex" && C.activeCage() === cage) {
-    const { edges, faces } = cage.topology;
-    const flat = mode === "edge" ? edges : faces;
-    const size = mode === "edge" ? 2 : 3;
+    const { edges, polygons } = cage.topology;
+    const pairs = Array.from({ length: edges.length / 2 }, (_, e) => [edges[2 * e], edges[2 * e + 1]]);
     kept = new Set();
-    for (let i = 0; i < flat.length; i += size) {
-      const part = [...flat.subarray(i, i + size)];
+    for (const part of mode === "edge" ? pairs : polygons) {
       if (part.every((v) => chosen.has(v))) part.forEach((v) => kept.add(v));
     }
   }
