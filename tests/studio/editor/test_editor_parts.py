@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from editor_browser import CAGE, Window, editor, looks_cheap, on_page, settle, until, window
+from editor_pages import tiny_field
+from polygon_cages import quad_box
 from scenes import LAMP, TableScene
 
+import warpcage
 from warpcage.studio.editor import view_camera
 from warpcage.view import eased_share
 
@@ -363,3 +367,24 @@ def test_a_move_of_the_camera_becomes_keys(window: Window, editor: Any) -> None:
     assert window.get('document.getElementById("ask-typed").value') == "spin:3"  # what was typed stays
     window.press("Escape")
     assert editor.document.timeline.keys == keys
+
+
+def test_quads_have_no_diagonals_and_are_picked_whole(browser: Any, tmp_path: Path) -> None:
+    tiny_field().save(tmp_path / "ball.npz")
+    cage = quad_box(2).scale(0.7)
+    with warpcage.edit(tmp_path / "ball.npz", cage) as editor:
+        browser.switch_to.window(browser.window_handles[0])
+        browser.get(editor.url)
+        window = Window(browser, editor.url)
+        window.press("3")
+        window.wait('warpcage.store.sections.selection.mode === "face"')
+        assert [list(face) for face in cage.polygons] == window.section("edits")[0]["faces"]
+        places = window.places()
+        for face in cage.polygons:  # one of those that look at the eye lies under each middle
+            middle = places[list(face)].mean(axis=0)
+            window.point("mousePressed", middle, button="left", clickCount=1)
+            window.point("mouseReleased", middle, button="left", clickCount=1)
+            window.wait("warpcage.store.sections.selection.vertices.length === 4")
+            assert tuple(window.section("selection")["vertices"]) in {tuple(sorted(each)) for each in cage.polygons}
+        assert window.console() == []
+        browser.get("about:blank")
