@@ -36,6 +36,7 @@ from ..kernels.render import samples
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.buffers import StreamOrder
 from ..mesh.queries import inside_mesh
+from ..mesh.validity import require_usable
 from ..render.launch import load_pose_modules, render_modules
 from ..render.sampled import SampledField, render_samples
 from ..render.scene import PosedScene
@@ -113,7 +114,13 @@ class Backend(abc.ABC, Generic[FieldT, EditsT]):
         self._order.follow()  # poses and frames of other streams share the buffers
         if self._held is not cages:
             self._held = None
-            self.posed.pose([self.surface(cage) for cage in cages])
+            try:
+                self.posed.pose([self.surface(cage) for cage in cages])
+            except ValueError:
+                for cage in cages:  # an error names the cage's own faces where it is at fault
+                    if cage is not None and cage.polygon_faces is not None:
+                        require_usable(cage, "the deformed cage")
+                raise
             self._held, self._spans = cages, [cage_span(cage) for cage in cages]
         return self.posed
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from fields import make_field, psnr, shiny, shiny_field, view
 from polygon_cages import mixed_prism, quad_box, quad_cube, triangulated
+from refusals import refused
 from splat_scenes import one_splat, splats_in_box
 
 from warpcage import Cage, CageEdit, Deformer, bake, deform_points
@@ -95,6 +96,17 @@ def test_poses_of_triangles_and_arrays_and_affine_poses_make_the_same_pictures(k
     for other in (triangulated(warped, 1), warped.vertices):
         np.testing.assert_array_equal(quads.pose(other).render(camera).rgb, first)
     assert psnr(first, frame.rgb) < 40
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_poses_that_cannot_be_used_are_named_by_polygons(kind, device):
+    cage = quad_cube()
+    deformer = Deformer(shiny_field(device), cage, coordinates=kind, resolution=16).pose(lifted(cage, 7))
+    flat = cage.vertices.copy()
+    flat[list(cage.polygons[3])] = flat[list(cage.polygons[3])].mean(axis=0) + np.array([[0, 0, 0], [1e-9, 0, 0]] * 2)
+    flat[list(cage.polygons[3])] += 1e-3 * np.arange(4)[:, None] * [1.0, 0.0, 0.0]
+    refused(lambda: deformer.pose(flat), match="without area, the first [0-5]:")
+    assert deformer.deformed[0].vertices[7, 2] == pytest.approx(1.8)  # the pose before stays
 
 
 def test_baked_fields_and_views_of_poses(device):
