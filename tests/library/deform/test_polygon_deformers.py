@@ -7,7 +7,7 @@ from polygon_cages import mixed_prism, quad_box, quad_cube, triangulated
 from refusals import refused
 from splat_scenes import one_splat, splats_in_box
 
-from warpcage import Cage, CageEdit, Deformer, bake, deform_points
+from warpcage import Cage, CageEdit, Deformer, Stage, VoxelField, bake, deform_points
 from warpcage.cage import cut_faces, snap_to_gaps
 from warpcage.coordinate_kinds import COORDINATE_KINDS
 
@@ -165,3 +165,16 @@ def test_walls_of_quads_snap_to_gaps(device):
     assert snapped.polygons == cage.polygons
     np.testing.assert_allclose(snapped.vertices, snap_to_gaps(split, field, 0.3).vertices, atol=0.03)
     assert snapped.vertices[:, 0].min() < 0.16
+
+
+def test_stages_keep_the_quads_of_their_edits(device, tmp_path):
+    field, cage = shiny_field(device), quad_box(2).scale(0.9)
+    field.save(tmp_path / "it.npz")
+    it = VoxelField.load(tmp_path / "it.npz", device=device)
+    deformer = Deformer(it, cage, coordinates="mean_value", resolution=24).pose(bent(cage))
+    stage = Stage().add("it", deformer, path=tmp_path / "it.npz")
+    stage.save(tmp_path / "scene.stage.json")
+    loaded = Stage.load(tmp_path / "scene.stage.json", device=device)
+    found = loaded.items["it"].scene_object
+    assert found.edits[0].cage.polygons == found.deformed[0].polygons == cage.polygons
+    np.testing.assert_array_equal(loaded.render(view()).rgb, stage.render(view()).rgb)

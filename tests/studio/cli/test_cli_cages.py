@@ -137,6 +137,12 @@ def test_quads_go_through_all_commands(files, tmp_path, capsys):
     film = ["@ball.npz", "--cage", tmp_path / "rest.obj", "--posed", tmp_path / "left.obj", "-o", tmp_path / "film"]
     succeed(files, "animate", *film, *view, "--frames", 2, "--quiet")
     assert len(list((tmp_path / "film").glob("*.png"))) == 2
+    succeed(files, "animate", *film[:-2], *view, "--frames", 2, "--jobs", tmp_path / "film.jsonl")
+    np.testing.assert_array_equal(np.load(tmp_path / "film.faces.npy"), rest.face_array)
+    succeed(files, "run", tmp_path / "film.jsonl", "-o", tmp_path / "run", "--quiet")
+    for name in ("frame_0000", "frame_0001"):
+        (found,) = (tmp_path / "run").rglob(f"{name}*.png")
+        np.testing.assert_array_equal(iio.imread(found), iio.imread(tmp_path / "film" / f"{name}.png"))
     capsys.readouterr()
     succeed(files, "check", tmp_path / "rest.obj", "--object", "@ball.npz", "--posed", tmp_path / "left.obj")
     said = capsys.readouterr().out

@@ -5,6 +5,7 @@ import os
 
 import numpy as np
 import pytest
+from polygon_cages import mixed_prism, triangulated
 from refusals import refused
 from scene_writers import GltfWriter
 
@@ -117,3 +118,21 @@ def test_one_pose_is_taken_where_a_command_has_one(folder):
     reader, spec = EditReader(AssetResolver(folder)), EditSpec("cage.obj", "posed.obj")
     assert len(reader.edit(spec, ["posed.obj"], None).poses) == 1
     refused(lambda: reader.edit(spec, ["posed.obj", "rest"], None), match="one pose is needed, got 2")
+
+
+def test_cages_of_polygons_in_files_arrays_and_lists_are_the_same(tmp_path):
+    cage = mixed_prism()
+    cage.save(tmp_path / "cage.obj")
+    np.save(tmp_path / "rest.npy", cage.vertices)
+    np.save(tmp_path / "faces.npy", cage.face_array)
+    resolver = AssetResolver(tmp_path, in_json=True)
+    lists = {"vertices": "rest.npy", "faces": [list(face) for face in cage.polygons]}
+    found = [resolver.rest(each) for each in ("cage.obj", {"vertices": "rest.npy", "faces": "faces.npy"}, lists)]
+    assert {rest.cage.polygons for rest in found} == {cage.polygons} and len({rest.hash for rest in found}) == 1
+    split = triangulated(cage)
+    assert RestCage(split).hash not in {rest.hash for rest in found}  # it makes other pictures
+    split.with_vertices(cage.twist(20).vertices).save(tmp_path / "posed.obj")
+    posed = resolver.pose(found[0], "posed.obj")
+    assert posed.polygons == cage.polygons
+    np.testing.assert_array_equal(posed.vertices, cage.twist(20).vertices)
+    refused(lambda: resolver.rest(lists | {"faces": [[0, 1, 2], [0, 1, 2, "x"]]}), match="whole numbers")
