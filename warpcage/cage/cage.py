@@ -394,7 +394,7 @@ class Cage(PosableMesh):
             margin: Least distance to what must stay inside, world units.
 
         Returns:
-            The coarser cage.
+            The coarser cage, of triangles.
 
         Raises:
             ValueError: For a cage that is not usable, a count that is not below its own, an object that is not inside
