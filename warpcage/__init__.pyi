@@ -7,6 +7,7 @@ from .cage.random_poses import RandomPoses as RandomPoses
 from .coordinates.coordinates import deform_points as deform_points
 from .coordinates.coordinates import green_coordinates as green_coordinates
 from .coordinates.coordinates import harmonic_coordinates as harmonic_coordinates
+from .coordinates.coordinates import maximum_likelihood_coordinates as maximum_likelihood_coordinates
 from .coordinates.coordinates import mean_value_coordinates as mean_value_coordinates
 from .deform.bake import bake as bake
 from .deform.deformer import Deformer as Deformer
@@ -98,6 +99,7 @@ __all__ = [
     "green_coordinates",
     "harmonic_coordinates",
     "load_scene",
+    "maximum_likelihood_coordinates",
     "mean_psnr",
     "mean_value_coordinates",
     "psnr",

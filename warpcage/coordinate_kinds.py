@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias
 from .errors import InputError
 
 #: Names of kinds, as `coordinates=` takes them.
-Coordinates: TypeAlias = Literal["harmonic", "mean_value", "green"]
+Coordinates: TypeAlias = Literal["harmonic", "mean_value", "green", "maximum_likelihood"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +35,7 @@ class CoordinateKind:
     bind_points: str | None = None  # None of a closed form: it does not move splats
     adjoint: str | None = None  # the Warp function that a backward pass is written for; None: not differentiable
     has_face_weights: bool = False
+    is_iterative: bool = False  # there may be no solution at a point, which is NaN then
     is_precise: bool = False  # also evaluated at every sample, without a lattice (kernels/edits/trace.py)
     extends: bool = False  # defined outside of the cage too
     face_cells: int = 1  # along each edge of a face of more than three corners, of the surface that it is solved on
@@ -114,6 +115,24 @@ COORDINATE_KINDS: dict[str, CoordinateKind] = {
             adjoint="kernels.coordinates.green:green_point",
             has_face_weights=True,
             is_precise=True,
+        ),
+        CoordinateKind(
+            "maximum_likelihood",
+            label="Maximum likelihood",
+            help="no negative weights in concave cages",
+            move_points="coordinates.coordinates:move_in_closed_form",
+            solver="lattice.closed_form:IterativeSolver",
+            modules=(
+                "kernels.lattice.closed_form",
+                "kernels.mesh.fans",
+                "kernels.lattice.cut_rows",
+                "kernels.lattice.corrections",
+            ),
+            map_points="kernels.coordinates.maximum_likelihood:map_maximum_likelihood",
+            map_nodes="kernels.lattice.closed_form:map_nodes_maximum_likelihood",
+            weigh_points="kernels.coordinates.maximum_likelihood:weigh_maximum_likelihood",
+            bind_points="kernels.splats.bind:bind_maximum_likelihood",
+            is_iterative=True,
         ),
     )
 }

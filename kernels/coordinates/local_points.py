@@ -38,10 +38,15 @@ for number in NUMBERS:
 
 
 @wp.kernel
-def find_not_finite(first: int, points: wp.array(dtype=wp.vec3), bad: wp.array(dtype=int)):
-    """bad[0] becomes 1 where a point is not finite."""
-    if not wp.isfinite(points[first + wp.tid()]):
+def find_not_finite(first: int, values: wp.array(dtype=Any), bad: wp.array(dtype=int)):
+    """bad[0] becomes 1 where a value is not finite."""
+    if not wp.isfinite(values[first + wp.tid()]):
         bad[0] = 1
+
+
+#: Weights, points, and rows of weights with gradients.
+for value in (wp.float32, wp.vec3, wp.vec4):
+    wp.overload(find_not_finite, {"values": wp.array(dtype=value)})
 
 
 @wp.kernel

@@ -1,4 +1,4 @@
-"""Mean value and Green maps at the listed nodes of a lattice."""
+"""Mean value, Green and maximum likelihood maps at the listed nodes of a lattice."""
 
 # Cage vertices are in node units relative to the middle of the lattice, which keeps most float32 digits; `size` is the
 # cage's. At CLEARANCE cells from the cage and more, where maps are smooth, every second node along each axis is
@@ -8,6 +8,7 @@
 import warp as wp
 
 from ..coordinates.green import green_position
+from ..coordinates.maximum_likelihood import maximum_likelihood_point
 from ..coordinates.mean_value import mean_value_position
 from .cut_rows import CutRows
 from .gaps import is_near_mark
@@ -56,6 +57,29 @@ def map_nodes_green(
         return
     node = levels.nodes[n]
     values[node] = green_position(centered_place(levels, node), vertices, faces, fans, targets, target_normals, size)
+
+
+@wp.kernel(launch_bounds=(128, 5))
+def map_nodes_maximum_likelihood(
+    first: int,
+    levels: NodeLevels,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    size: float,
+    values: wp.array(dtype=wp.vec3),
+    status: wp.array(dtype=float),
+):
+    """As `map_nodes_mean_value`. status[1] becomes what is left, above 0, at one of the nodes without a solution."""
+    n = first + wp.tid()
+    if n >= levels.starts[INTERPOLATED_SECTION]:
+        return
+    node = levels.nodes[n]
+    point = maximum_likelihood_point(centered_place(levels, node), vertices, faces, fans, targets, size)
+    values[node] = wp.vec3(point[0], point[1], point[2])
+    if point[3] > 0.0:
+        status[1] = point[3]
 
 
 @wp.kernel

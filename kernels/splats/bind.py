@@ -1,6 +1,8 @@
-"""Mean value and Green coordinates of points and their gradients, in float64: rows by which points go with a cage."""
+"""Coordinates of points and their gradients, in float64: rows by which points go with a cage."""
 
 import warp as wp
+
+from ..coordinates.maximum_likelihood import MOST_PASSES, exact_face_term
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -221,3 +223,68 @@ def bind_green(
         rows[count + f, n] = wp.vec4(row_of(psi, psi_slope))
     for j in range(count):
         rows[j, n] = wp.vec4(scratch[j, n])
+
+
+#: Gradients of maximum likelihood coordinates are forward differences over this share of the size.
+STEP = wp.constant(wp.float64(1.0e-7))
+
+#: Newton's method ends where a step changes no y by more than this share: the square is rounding.
+LAST_CHANGE = wp.constant(wp.float64(1.0e-8))
+
+
+@wp.kernel
+def bind_maximum_likelihood(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    scratch: wp.array2d(dtype=wp.vec4d),
+    rows: wp.array2d(dtype=wp.vec4),
+):
+    """rows (v, n): weight and gradient of each vertex at points (n,), NaN where there are none. scratch (v, n)."""
+    n = first + wp.tid()
+    total = wp.vec4d()
+    for j in range(vertices.shape[0]):
+        scratch[j, n] = wp.vec4d()
+    phi = wp.vec3d()
+    passes = int(0)
+    number = int(0)  # of the point itself, then those a step along each axis from it
+    while number < 4 and passes < MOST_PASSES:
+        x = points[n]
+        part = wp.vec4d()
+        part[number] = _ONE
+        x += STEP * wp.vec3d(part[1], part[2], part[3])
+        balance = wp.vec3d()
+        matrix = wp.mat33d()
+        largest = wp.float64(0.0)
+        for f in range(faces.shape[0]):
+            face = faces[f]
+            term = exact_face_term(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, _ONE)
+            if term.prior > wp.float64(0.0):
+                share = _ONE / (_ONE + wp.dot(phi, term.direction))
+                balance += term.prior * share * term.direction
+                matrix += wp.outer(term.prior * share * share * term.direction, term.direction)
+                largest = wp.max(largest, share)
+        step = wp.inverse(matrix) * balance
+        change = wp.length(step) * largest
+        phi += step / (_ONE + change)
+        passes += 1
+        if change < LAST_CHANGE:
+            for f in range(faces.shape[0]):
+                face = faces[f]
+                term = exact_face_term(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, _ONE)
+                if term.prior > wp.float64(0.0):
+                    corners = (term.prior / (_ONE + wp.dot(phi, term.direction))) * term.corners
+                    for k in range(3):
+                        scratch[face[k], n] = scratch[face[k], n] + corners[k] * part
+                        total += corners[k] * part
+            number += 1
+            passes = 0
+    for j in range(vertices.shape[0]):
+        weight = wp.cw_div(scratch[j, n], total)
+        rows[j, n] = wp.vec4(
+            float(weight[0]),
+            float((weight[1] - weight[0]) / STEP),
+            float((weight[2] - weight[0]) / STEP),
+            float((weight[3] - weight[0]) / STEP),
+        )

@@ -18,6 +18,7 @@ from warpcage import (
     deform_points,
     green_coordinates,
     harmonic_coordinates,
+    maximum_likelihood_coordinates,
     mean_value_coordinates,
     turntable,
 )
@@ -100,6 +101,9 @@ LAYOUTS = {
 FUNCTIONS = {
     "deform_points": lambda points, device: [deform_points(points, BOX, POSED, device=device)],
     "mean_value_coordinates": lambda points, device: [mean_value_coordinates(points, BOX, device=device)],
+    "maximum_likelihood_coordinates": lambda points, device: [
+        maximum_likelihood_coordinates(points, BOX, device=device)
+    ],
     "green_coordinates": lambda points, device: green_coordinates(points, BOX, device=device),
     "harmonic_coordinates": lambda points, device: [harmonic_coordinates(points, BOX, 12, device=device)],
     "contains": lambda points, device: [BOX.contains(points, device=device)],

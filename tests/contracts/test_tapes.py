@@ -66,7 +66,7 @@ def world(tmp_path_factory):
             cameras = [view(eye=eye, size=12) for eye in ((2.5, 0, 0.5), (0, 2.5, 0.5), (-2.5, 0, 0.5))]
             folder = write_files(tmp_path_factory.mktemp("tapes"))
             field.save(folder / "loaded.npz")
-            warm = {"harmonic": 16, "mean_value": 16, "green": None}
+            warm = {"harmonic": 16, "mean_value": 16, "green": None, "maximum_likelihood": 16}
             held[device] = {
                 "device": device,
                 "folder": folder,
@@ -97,7 +97,7 @@ def saved(world, item, name):
 
 def by_kind(call):
     """A call by each kind of coordinates."""
-    return lambda world, x: [call(world, x, kind) for kind in ("harmonic", "mean_value", "green")]
+    return lambda world, x: [call(world, x, kind) for kind in ("harmonic", "mean_value", "green", "maximum_likelihood")]
 
 
 #: What programs call at each step, by the public name: a world and the vertices of the step.
@@ -168,6 +168,9 @@ CALLS = {
     "green_coordinates": lambda w, x: warpcage.green_coordinates(w["points"], BOX.with_vertices(x)),
     "harmonic_coordinates": lambda w, x: warpcage.harmonic_coordinates(w["points"], BOX.with_vertices(x), 12),
     "load_scene": lambda w, x: warpcage.load_scene(w["folder"] / "scene"),
+    "maximum_likelihood_coordinates": lambda w, x: warpcage.maximum_likelihood_coordinates(
+        w["points"], BOX.with_vertices(x)
+    ),
     "mean_value_coordinates": lambda w, x: warpcage.mean_value_coordinates(w["points"], BOX.with_vertices(x)),
     "psnr, mean_psnr": lambda w, x: warpcage.psnr(w["field"].render(w["camera"]).rgb, np.zeros((12, 12, 3))),
     "render_film": lambda w, x: warpcage.render_film(

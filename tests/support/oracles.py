@@ -200,6 +200,80 @@ def mean_value_weights(points, vertices, faces, dtype=np.longdouble):
     return np.asarray(weights / weights.sum(axis=1, keepdims=True), np.float64)
 
 
+def seen_faces(points, vertices, faces):
+    """Faces as maximum likelihood coordinates have them (points on no face): weights of the corners in the integral m
+    of the unit directions over the solid angle, (n, f, 3), m (n, f, 3), and that of the cosine, 0 from outside, (n, f).
+    """
+    points, corners = np.asarray(points, np.float64), np.asarray(vertices, np.float64)[faces]
+    offsets = corners[None] - points[:, None, None]
+    unit = offsets / np.linalg.norm(offsets, axis=3, keepdims=True)
+    mean = np.zeros((len(points), len(faces), 3))
+    for k in range(3):  # angle times normal of the planes through the sides
+        u, v = unit[:, :, k], unit[:, :, (k + 1) % 3]
+        plane = np.cross(u, v)
+        plane /= np.maximum(np.linalg.norm(plane, axis=2, keepdims=True), 1e-300)
+        mean += plane * np.arcsin(np.minimum(np.linalg.norm(u - v, axis=2, keepdims=True) / 2, 1))
+    normals = unit_normals(vertices, faces)
+    behind = np.einsum("fi,nfi->nf", normals, offsets[:, :, 0]) < 1e-12 * np.ptp(corners)
+    systems = np.where(behind[..., None, None], np.eye(3), np.swapaxes(offsets, 2, 3))
+    weights = np.linalg.solve(systems, mean[..., None])[..., 0]
+    return weights, mean, np.where(behind, 0.0, np.einsum("fi,nfi->nf", normals, mean))
+
+
+def seen_faces_by_quadrature(points, vertices, faces):
+    """The same, each integral as it is defined, by Gauss quadrature on each face (points clear of the cage)."""
+    hats, share = _triangle_rule()
+    corners, normals = np.asarray(vertices, np.float64)[faces], unit_normals(vertices, faces)
+    double_areas = np.linalg.norm(_crossed(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    offset = np.einsum("qk,fki->fqi", hats, corners)[None] - np.asarray(points)[:, None, None]
+    distance = np.linalg.norm(offset, axis=3)
+    cosine = np.einsum("nfqi,fi->nfq", offset, normals) / distance
+    angle = share * double_areas[:, None] * cosine / distance**2  # solid angle of each node
+    mean = np.einsum("nfq,nfqi->nfi", angle / distance, offset)
+    weights = np.einsum("nfq,qk->nfk", angle / distance, hats)
+    return weights, mean, np.where(angle[..., 0] > 0, (angle * cosine).sum(axis=2), 0.0)
+
+
+def maximum_likelihood_weights(points, vertices, faces, seen=seen_faces):
+    """The convex problem of each point (inside, on no face), solved by SciPy's trust region: (n, v). Shares y of faces
+    have the largest sum of p log y of all whose directions cancel and whose sum is that of p."""
+    from scipy.optimize import minimize, root
+
+    corner_weights, means, priors = seen(points, vertices, faces)
+    weights = np.zeros((len(points), len(vertices)))
+    for row, corners, mean, prior in zip(weights, corner_weights, means, priors, strict=True):
+        held = prior > 0
+        prior, length = prior[held], np.linalg.norm(mean[held], axis=1)
+        shape = np.column_stack([prior, prior, prior]) / prior.sum()
+        direction = mean[held] / length[:, None]
+
+        def value(phi, direction=direction, prior=prior):
+            inside = 1 + direction @ phi
+            return -(prior / prior.sum()) @ np.log(inside) if (inside > 0).all() else np.inf
+
+        def slope(phi, direction=direction, shape=shape):
+            return -(shape * direction / (1 + direction @ phi)[:, None]).sum(axis=0)
+
+        def bend(phi, direction=direction, shape=shape):
+            return (shape * direction / (1 + direction @ phi)[:, None] ** 2).T @ direction
+
+        found = minimize(value, np.zeros(3), jac=slope, hess=bend, method="trust-exact", options={"gtol": 1e-6})
+        found = root(slope, found.x, jac=bend, tol=1e-14)
+        assert np.abs(slope(found.x)).max() < 1e-12
+        y = prior / (1 + direction @ found.x)
+        np.add.at(row, faces[held], (y / length)[:, None] * corners[held])
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def _triangle_rule():
+    """Gauss quadrature of a triangle: barycentric nodes (q, 3), and weights (q,) that add up to a half."""
+    x, w = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+    x, w = (x + 1) / 2, w / 2
+    s, t = (grid.reshape(-1) for grid in np.meshgrid(x, x, indexing="ij"))
+    # the square folded on the triangle
+    return np.stack([1 - s, s * (1 - t), s * t], axis=1), (w[:, None] * w[None]).reshape(-1) * s
+
+
 def green_weights(points, vertices, faces):
     """Pseudo-code of Lipman, Levin and Cohen-Or 2008, appendix (points inside, on no plane): phi (n, v), psi (n, f)."""
     points, vertices = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
@@ -249,11 +323,7 @@ def _gc_tri_int(p, v1, v2, eta):
 
 def green_weights_by_quadrature(points, vertices, faces):
     """The defining integrals by Gauss quadrature on each face (points clear of the cage): phi (n, v), psi (n, f)."""
-    x, w = np.polynomial.legendre.leggauss(GAUSS_POINTS)
-    x, w = (x + 1) / 2, w / 2
-    s, t = (grid.reshape(-1) for grid in np.meshgrid(x, x, indexing="ij"))
-    weight = (w[:, None] * w[None]).reshape(-1) * s
-    hats = np.stack([1 - s, s * (1 - t), s * t], axis=1)  # the square folded on the triangle
+    hats, weight = _triangle_rule()
     phi, psi = np.zeros((len(points), len(vertices))), np.zeros((len(points), len(faces)))
     for f, face in enumerate(faces):
         normal = np.cross(vertices[face[1]] - vertices[face[0]], vertices[face[2]] - vertices[face[0]])

@@ -1,4 +1,4 @@
-"""Cage coordinates of points (mean value, green, harmonic), and points and normals moved by a cage."""
+"""Cage coordinates of points (mean value, green, maximum likelihood, harmonic), and points moved by a cage."""
 
 from __future__ import annotations
 
@@ -127,6 +127,19 @@ def _require_near(local: _Local, cage: ClosedMesh) -> None:
     )
 
 
+def _require_solved(local: _Local, kind: CoordinateKind, values: Any, lost: np.ndarray) -> None:
+    """Refuse points for which the iterations found nothing; values: (n,), NaN for these, and for lost rows perhaps."""
+    launch(local_points.find_not_finite, local.count, [values], [local.bad[2:]], device=local.device)
+    if local.bad.numpy()[2]:
+        unsolved = np.setdiff1d(np.flatnonzero(np.isnan(values.numpy().reshape(local.count, -1)[:, 0])), lost)
+        if len(unsolved):
+            raise InputError(
+                f"{len(unsolved)} of {local.count} points {agreed(len(unsolved), 'has', 'have')} no {kind.name} "
+                f"coordinates, the first is point {unsolved[0]} at ({local.place(unsolved[0])}): "
+                "the cage must not pass through itself or be inside out there"
+            )
+
+
 def _set_nan(array: wp.array, rows: np.ndarray) -> None:
     """Fill rows, at least one, with NaN."""
     array[wp.array(rows, dtype=wp.int32, device=array.device)].fill_(float("nan"))
@@ -234,9 +247,9 @@ def deform_points(
         points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
         rest: Usable Cage around the points.
         deformed: The same faces in another pose, or its vertices (v, 3) in world units as an array of any library.
-        coordinates: "mean_value" (the default here, as it holds for any point), "green" or "harmonic" (the default of a
-            Deformer; here on a lattice of 128 cells along the longest side). Their poses differ: name the one that a
-            Deformer has to have points go with it.
+        coordinates: "mean_value" (the default here, as it holds for any point), "green", "maximum_likelihood" or
+            "harmonic" (the default of a Deformer; here on a lattice of 128 cells along the longest side). Their poses
+            differ: name the one that a Deformer has to have points go with it.
         device: Warp device. None is the device of an array on a device, else CUDA where there is one.
         outside: What happens to points outside of `rest`, by more than 1e-5 of its size. "extend" moves them too
             (mean_value alone, up to 1000 times the size away); "raise" refuses them; "nan" makes NaN of them. None is
@@ -281,6 +294,8 @@ def move_in_closed_form(
     launch(kind.load("map_points"), local.count, [*inputs, 1.0], outputs, device=device, work=len(rest.faces))
     world = _restored(positions, local, center, rest.size)
     lost = _lost_rows(local, rest, kind, outside, flagged=kind.has_face_weights)  # waits, so after all launches
+    if kind.is_iterative:
+        _require_solved(local, kind, positions, lost)
     if len(lost):
         _set_nan(positions, lost)
         world = _restored(positions, local, center, rest.size)
@@ -358,6 +373,8 @@ def _weigh(
     weights = [empty_array((local.count, count), wp.float32, local.device) for count in columns]
     inputs = [local.points, *_cage_arrays(cage, local), 1.0]
     launch(kind.load("weigh_points"), local.count, inputs, weights, device=local.device, work=len(cage.faces))
+    if kind.is_iterative and local.count:
+        _require_solved(local, kind, weights[0][:, 0], lost)
     if cage.operator is not None:
         merged = empty_array((local.count, cage.own_count), wp.float32, local.device)
         merge_rows(weights[0].transpose([1, 0]), cage.operator, merged.transpose([1, 0]))
@@ -408,6 +425,36 @@ def green_coordinates(
     """
     vertex_weights, face_weights = _weigh(COORDINATE_KINDS["green"], points, cage, device, outside)
     return as_given(vertex_weights, points), as_given(face_weights, points)
+
+
+@points_in_turn
+def maximum_likelihood_coordinates(
+    points: PointsLike, cage: ClosedMesh, *, device: wp.DeviceLike = None, outside: str = "raise"
+) -> Any:
+    """Maximum likelihood coordinates of points inside a cage: positive, also in concave cages.
+
+    They are close to mean value coordinates in convex cages and continuously differentiable. On the cage, to 1e-6 of
+    its size, they interpolate the face linearly. Weights are good to about 1e-6. Source: after Chang, Deng and Hormann,
+    "Maximum likelihood coordinates" (SGP 2023), with directions to faces in place of those to vertices, as
+    kernels/coordinates/maximum_likelihood.py has it.
+
+    Args:
+        points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
+        cage: Usable Cage of v vertices.
+        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+        outside: "raise" refuses points farther outside than 1e-5 of the cage's size; "nan" fills their rows with NaN.
+
+    Returns:
+        (n, v) float32, an array of the points' kind on their device, not negative up to rounding; each row sums to one
+        and reproduces its point.
+
+    Raises:
+        ValueError: For points outside (with their number and the first of them), of another shape or not finite, for a
+            cage that is open, inward or degenerate, for points where a cage that passes through itself is inside out,
+            for too little memory on the device, and for another `outside`.
+    """
+    (weights,) = _weigh(COORDINATE_KINDS["maximum_likelihood"], points, cage, device, outside)
+    return as_given(weights, points)
 
 
 @points_in_turn

@@ -1,4 +1,4 @@
-"""Mean value and Green maps on the nodes of a lattice."""
+"""Mean value, Green and maximum likelihood maps on the nodes of a lattice."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ import warp as wp
 
 from ..coordinate_kinds import CoordinateKind
 from ..core.arrays import WarpStruct, empty_array
+from ..core.checks import warn_caller
 from ..core.devices import DEFAULT_WORK, launch
+from ..errors import InputError
+from ..kernels.coordinates.local_points import find_not_finite
 from ..kernels.lattice.cage_map import place_nodes
 from ..kernels.lattice.closed_form import interpolate_nodes, map_crossings_green, stretch_normals
 from ..kernels.lattice.corrections import correct_values, measure_corrections
@@ -110,7 +113,8 @@ class VertexWeightSolver(ClosedFormSolver):
         with self.lattice.side.fork():
             self._describe(sections)
         cage = [self._vertices, self._faces, self._fans, target.vertex_values, self._size]
-        self._launch(self._map_nodes, sections.evaluated, [self.nodes.levels, *cage], [values], all_faces=True)
+        outputs = [values] + [self.status] * self._kind.is_iterative
+        self._launch(self._map_nodes, sections.evaluated, [self.nodes.levels, *cage], outputs, all_faces=True)
         self.lattice.side.join()
 
     def _describe(self, sections: NodeSections) -> None:
@@ -131,6 +135,38 @@ class VertexWeightSolver(ClosedFormSolver):
         continue_outwards(2, lattice, levels, sections, vertex_values, values)
         side.join()
         self._launch(correct_values, count, [levels, corrections], [values])
+
+
+class IterativeSolver(VertexWeightSolver):
+    """The same, by coordinates that are found by iterations at each node, and are not there in what is inside out."""
+
+    def clear(self, sizes: PoseSizes) -> None:
+        """Launch what clears the values, the count of gaps and what is left, before a solution."""
+        super().clear(sizes)
+        self.status.zero_()
+
+    def take_status(self, status: np.ndarray) -> None:
+        """Note how a solution ended, and warn where there was none."""
+        super().take_status(status)
+        if self.residual > 0.0:
+            warn_caller(
+                f"there are no {self._kind.name} coordinates where the posed cage passes through itself or is inside "
+                "out, and the picture is rough there: pose it without, or take other coordinates"
+            )
+
+    def weigh(self) -> list[WeightBlock]:
+        """As ClosedFormSolver; refuses a pose with nodes that have none."""
+        blocks = super().weigh()
+        bad = wp.zeros(1, dtype=int, device=self.device)
+        for _, weights, _ in blocks:
+            if weights.size:
+                self._launch(find_not_finite, weights.shape[0], [weights[:, 0]], [bad])
+        if bad.numpy()[0]:
+            raise InputError(
+                f"there are no {self._kind.name} weights where the posed cage passes through itself or is inside out: "
+                "pose it without, or take other coordinates"
+            )
+        return blocks
 
 
 class GreenSolver(ClosedFormSolver):

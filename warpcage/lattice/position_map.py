@@ -51,7 +51,7 @@ class PositionMap(HeldOnDevice):
     """The map x -> sum_j w_j(x) v_j from a deformed cage to its rest cage, on the nodes of a lattice over the former.
 
     What is computed is the residual after the affine map that fits the cage's vertices best (least squares), which all
-    three kinds of coordinates reproduce: so affine poses are exact (green: similarities, up to rounding), whatever the
+    kinds of coordinates reproduce: so affine poses are exact (green: similarities, up to rounding), whatever the
     resolution. Nothing is computed before `pose`.
 
     Where the deformed cage has gaps narrower than about two cells that the pose opens, the map keeps values for each
@@ -62,7 +62,7 @@ class PositionMap(HeldOnDevice):
 
     Args:
         rest: The canonical Cage.
-        coordinates: "harmonic", "mean_value" or "green" (coordinate_kinds.py).
+        coordinates: "harmonic", "mean_value", "green" or "maximum_likelihood" (coordinate_kinds.py).
         resolution: Cells along the longest side of the deformed cage, 8 to 1024.
         origin: (3,) world point that device arrays are relative to. None is the middle of the rest cage's bounding box.
         device: Warp device. None is CUDA where there is one.

@@ -15,6 +15,8 @@ from ..core.devices import HeldOnDevice, launch
 from ..core.memory import require_memory
 from ..core.names import coordinate_kind
 from ..core.reports import Progress, report_progress
+from ..errors import InputError
+from ..kernels.coordinates.local_points import find_not_finite
 from ..kernels.splats import lattice_rows, pose
 from ..kernels.splats.packed_rows import PackedRows, carry_packed, pack_rows
 from ..mesh.faces import StretchTarget, column_cross, column_dot, face_edges, stretched_normals
@@ -171,6 +173,7 @@ class CageBinding(HeldOnDevice):
         scratch = _columns(corners, max(chunk, 1), wp.vec4d, device)
         every = _columns(corners + height - cage.own_count, max(chunk, 1), wp.vec4, device) if merges else None
         kernel = kind.load("bind_points")
+        unsolved: Any = wp.zeros(1, dtype=int, device=device)
         for begin in range(0, count, CHUNK):
             report_progress(progress, begin, count, "bind splats")
             items = min(CHUNK, count - begin)
@@ -180,7 +183,14 @@ class CageBinding(HeldOnDevice):
             launch(kernel, items, inputs, outputs, device=device, work=4 * len(cage.faces))
             if every is not None:
                 merge_rows(every[:, :items], cage.operator, into)
+            if kind.is_iterative:
+                launch(find_not_finite, items, [into[0]], [unsolved], device=device)
             self._pack(begin, rows, items)
+        if kind.is_iterative and unsolved.numpy()[0]:
+            raise InputError(
+                f"splats have no {kind.name} coordinates where the cage passes through itself or is inside out: "
+                "take a cage that does not, or other coordinates"
+            )
 
     def _pack(self, begin: int, rows: wp.array, items: int) -> None:
         """Pack rows (j, items or more) of points from `begin` on, where they are packed."""

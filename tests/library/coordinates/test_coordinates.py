@@ -17,11 +17,12 @@ from warpcage.coordinates import stretched_normals
 from warpcage.core import COORDINATES, memory
 from warpcage.demo import brick_model
 
-CLOSED_FORMS = ["mean_value", "green"]
+CLOSED_FORMS = ["mean_value", "green", "maximum_likelihood"]
 
 WEIGHTS = {
     "mean_value": coordinates.mean_value_coordinates,
     "green": coordinates.green_coordinates,
+    "maximum_likelihood": coordinates.maximum_likelihood_coordinates,
     "harmonic": lambda points, cage, **options: coordinates.harmonic_coordinates(points, cage, 16, **options),
 }
 

@@ -19,7 +19,7 @@ from warpcage.lattice import GreenSolver, PoseGraph, fit_affine
 from warpcage.lattice import lattice as block_faces
 from warpcage.lattice import lattice as lattices
 
-KINDS = ("harmonic", "mean_value", "green")
+KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood")
 STORES = ("map", "weights")
 
 
@@ -66,6 +66,8 @@ def test_affine_poses_are_undone_up_to_the_cage(name, kind, store, device):
 def reference(kind, points, deformed, rest, device):
     if kind == "mean_value":
         return oracles.mean_value_weights(points, deformed.vertices, deformed.faces) @ rest.vertices
+    if kind == "maximum_likelihood":
+        return oracles.maximum_likelihood_weights(points, deformed.vertices, deformed.faces) @ rest.vertices
     if kind == "green":
         phi, psi = oracles.green_weights(points, deformed.vertices, deformed.faces)
         return phi @ rest.vertices + psi @ stretched_normals(deformed, rest)

@@ -15,7 +15,7 @@ from warpcage.kernels.splats.pose import CarriedSplats
 from warpcage.lattice import fit_affine
 from warpcage.splats import CageBinding, PoseFit, binding, fit_similarity, split_tree
 
-KINDS = ("harmonic", "mean_value", "green")
+KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood")
 ORIGIN = np.array([0.3, -0.2, 0.1])
 
 
@@ -44,7 +44,7 @@ def places(count=200, half=0.9):
 
 
 @pytest.mark.parametrize("packed", [False, True])
-@pytest.mark.parametrize("kind", ["mean_value", "green"])
+@pytest.mark.parametrize("kind", ["mean_value", "green", "maximum_likelihood"])
 def test_a_pose_against_float64(kind, packed, device):
     """Places to 1e-6 of the size, Jacobians by central differences: 3e-4 of the largest entry where they are packed."""
     points, posed = places(), BOX.twist(70).bend(40).with_vertices(1.2 * BOX.twist(70).bend(40).vertices)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 from field_oracles import random_field
-from oracles import green_weights, mean_value_weights
+from oracles import green_weights, maximum_likelihood_weights, mean_value_weights
 from refusals import refused
 from scipy.spatial.transform import Rotation
 from splat_scenes import covariances_of, drawn, one_splat, splats_in_box
@@ -16,7 +16,7 @@ from warpcage.core import launch
 from warpcage.kernels.splats import pose
 from warpcage.splats import CageBinding, fit_similarity
 
-KINDS = ("harmonic", "mean_value", "green")
+KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood")
 BOX = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
 ROOM = Cage.box((-1.6, -1.6, -1.6), (1.6, 1.6, 1.6), segments=2)
 TURN = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
@@ -27,6 +27,8 @@ def weights_of(kind, points, cage):
     """(n, j) rows in float64: of vertices, Green's then of faces in sizes of the cage."""
     if kind == "mean_value":
         return mean_value_weights(points, cage.vertices, cage.faces).astype(np.float64)
+    if kind == "maximum_likelihood":
+        return maximum_likelihood_weights(points, cage.vertices, cage.faces)
     vertex, face = green_weights(points, cage.vertices, cage.faces)
     return np.concatenate([vertex, face / cage.size], axis=1)
 
@@ -82,7 +84,7 @@ def test_rest_is_rest_to_the_bit(kind, device):
     assert deformer.baked() is field
 
 
-@pytest.mark.parametrize("kind", ["mean_value", "green"])
+@pytest.mark.parametrize("kind", ["mean_value", "green", "maximum_likelihood"])
 def test_a_twist_against_float64(kind, device):
     """Centres, and covariances by a Jacobian of differences, turns by SciPy's polar decomposition."""
     from scipy.linalg import polar
