@@ -23,11 +23,11 @@ rest = Cage.box(mesh.bounds * 1.05, segments=(3, 3, 1))
 
 # Pose the cage and let the model follow, once for each kind of coordinates.
 posed = rest.bend(70, axis="x", towards="z").twist(25, axis="x")
-for kind in ("mean_value", "green", "harmonic"):
+for kind in ("mean_value", "green", "harmonic", "maximum_likelihood"):
     moved = mesh.copy()
     moved.vertices = deform_points(mesh.vertices, rest, posed, coordinates=kind)
     size = np.ptp(moved.vertices, axis=0)
-    print(f"{kind:11s} {len(moved.vertices)} vertices, box {np.round(size, 2)}, volume {moved.volume:.3f}")
+    print(f"{kind:18s} {len(moved.vertices)} vertices, box {np.round(size, 2)}, volume {moved.volume:.3f}")
     assert np.isfinite(moved.vertices).all() and moved.is_watertight
     assert 0.5 * mesh.volume < moved.volume < 2.0 * mesh.volume
 
@@ -41,7 +41,7 @@ turned = rest.rotate(40, axis="z")
 expected = trimesh.transform_points(
     mesh.vertices, trimesh.transformations.rotation_matrix(np.radians(40), (0, 0, 1), rest.bounds.mean(axis=0))
 )
-for kind in ("mean_value", "green", "harmonic"):
+for kind in ("mean_value", "green", "harmonic", "maximum_likelihood"):
     moved = deform_points(mesh.vertices, rest, turned, coordinates=kind)
     assert np.abs(moved - expected).max() < 1e-4 * rest.size
 print("turned cages turn the model")

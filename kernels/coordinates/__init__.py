@@ -1,1 +1,1 @@
-"""Mean value and Green coordinates in closed form."""
+"""Mean value and Green coordinates in closed form, and maximum likelihood coordinates by a few steps."""

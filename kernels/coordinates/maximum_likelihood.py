@@ -27,11 +27,15 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 forward_only = forward_only_in(__name__, (wp.vec4, wp.vec3))
 
-#: Newton's method ends where a step changes no y by more than this share; the error left is its square.
-LAST_CHANGE = wp.constant(1.0e-3)
+#: Newton's method ends where a step changes no y by more than this share: what is left is less than its square, below
+#: 1e-6 in all that was tried (1e-3 took a tenth longer).
+LAST_CHANGE = wp.constant(4.0e-3)
 
 #: Or where |sum y d| is no more than this share of sum y, as float32 has it.
 ROUNDING = wp.constant(1.0e-6)
+
+#: Steps that change no y by more than this share are taken whole: the next change is at most 0.62 of theirs.
+NEAR = wp.constant(0.3)
 
 #: Where it has not ended after so many passes over the faces there is no solution; it takes 3 or 4 inside a cage.
 MOST_PASSES = wp.constant(40)
@@ -182,6 +186,13 @@ def with_step(sums: Likelihood):
 
 
 @wp.func
+def step_length(change: float):
+    """Of a step of Newton's method: whole where that converges, else the longest that goes down all its way, as no
+    1 + phi . d shrinks to less than 1 / (1 + change) of itself along it."""
+    return wp.where(change < NEAR, 1.0, 1.0 / (1.0 + change))
+
+
+@wp.func
 def has_settled(sums: Likelihood):
     """Whether the step is the last one."""
     return sums.total > 0.0 and (sums.change < LAST_CHANGE or wp.length(sums.balance) <= ROUNDING * sums.total)
@@ -266,8 +277,7 @@ def maximum_likelihood_point(
             position += wp.vec3(wp.dot(slope_x, step), wp.dot(slope_y, step), wp.dot(slope_z, step))
             position = position / (total + wp.dot(total_slope, step))
             return forward_only(wp.vec4(position[0], position[1], position[2], 0.0), x)
-        # the longest step that goes down all its way: along it no 1 + phi . d shrinks to less than 1 / (1 + change)
-        phi += sums.step / (1.0 + sums.change)
+        phi += step_length(sums.change) * sums.step
         position = position * wp.where(total == 0.0, 0.0, 1.0 / total)
         residual = wp.where(sums.total == 0.0, 1.0, wp.length(sums.balance) / sums.total)
         passes += 1
@@ -338,7 +348,7 @@ def weigh_maximum_likelihood(
         if has_settled(sums):
             phi += sums.step
             break
-        phi += sums.step / (1.0 + sums.change)
+        phi += step_length(sums.change) * sums.step
         passes += 1
     clear_row(weights, n)
     if touched >= 0:

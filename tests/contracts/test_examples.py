@@ -80,7 +80,7 @@ def summary(out):
 def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("[a-z]*.py")}
     text = pathlib.Path(__file__).read_text(encoding="utf-8")
-    assert len(names) == 14 and [name for name in names if f'run("{name}"' not in text and name not in SMALL] == []
+    assert len(names) == 15 and [name for name in names if f'run("{name}"' not in text and name not in SMALL] == []
     for name, most in LINES.items():
         assert len((EXAMPLES / name).read_text().splitlines()) < most
 
@@ -131,6 +131,13 @@ def test_a_soft_body_carries_what_it_holds(run, tmp_path):
     two_balls("cpu").save(tmp_path / "balls.npz")
     words = "--field balls.npz --out drop.mp4 --size 32 --device cpu"
     assert "wrote drop.mp4: 40 pictures" in run("newton_soft_body.py", words)
+
+
+def test_compare_coordinates(run, tmp_path):
+    said = run("compare_coordinates.py", "--size 60 --out out")
+    reach = {line.split()[0]: float(line.rsplit(" ", 1)[1]) for line in said.splitlines() if "other leg" in line}
+    assert reach["harmonic"] < reach["maximum_likelihood"] < 0.5 * reach["mean_value"] and len(reach) == 4
+    assert read_image(tmp_path / "out" / "coordinates.png").shape[1] == 5 * 60 + 4 * 4
 
 
 @pytest.mark.scaled

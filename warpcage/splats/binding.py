@@ -177,7 +177,7 @@ class CageBinding(HeldOnDevice):
         for begin in range(0, count, CHUNK):
             report_progress(progress, begin, count, "bind splats")
             items = min(CHUNK, count - begin)
-            into = rows if pack else rows[:, begin : begin + items]
+            into: Any = rows if pack else rows[:, begin : begin + items]
             inputs = [local[begin : begin + items], vertices, faces, scratch]
             outputs = [into if every is None else every]
             launch(kernel, items, inputs, outputs, device=device, work=4 * len(cage.faces))

@@ -5,6 +5,7 @@ import numpy as np
 import oracles
 import pytest
 import warp as wp
+from messages import MESSAGES
 from refusals import refused
 
 from warpcage import Cage, PositionMap, deform_points, harmonic_coordinates, maximum_likelihood_coordinates
@@ -178,11 +179,11 @@ def test_maps_without_a_solution_say_so(store, device):
     assert found.residual == 0.0
     vertices.assign(vertices.numpy() + [0, 0, 100])
     if store == "weights":
-        refused(solver.weigh, match="no maximum_likelihood weights where the posed cage passes through itself")
+        refused(solver.weigh, match=MESSAGES["coordinates.no_solution"].format(what="weights"))
         return
     solver.clear(solver.sizes)
     solver.launch_solution(solver.sizes, launches.target)
     assert np.isfinite(solver.values.numpy()).all()
-    with pytest.warns(UserWarning, match="no maximum_likelihood coordinates where the posed cage passes through"):
+    with pytest.warns(UserWarning, match=MESSAGES["coordinates.no_solution"].format(what="coordinates")):
         solver.take_status(solver.status.numpy())
     assert solver.residual > 0.1
