@@ -34,11 +34,19 @@ LAST_CHANGE = wp.constant(4.0e-3)
 #: Or where |sum y d| is no more than this share of sum y, as float32 has it.
 ROUNDING = wp.constant(1.0e-6)
 
-#: Steps that change no y by more than this share are taken whole: the next change is at most 0.62 of theirs.
-NEAR = wp.constant(0.3)
+#: Steps are tried this many times as long as they are known to go down, and that many times again after each success.
+BOLDER = wp.constant(4.0)
+
+#: After so many passes it begins anew as interior point methods do, for cages as flat as a leaf: with MOST_EXTRA added
+#: to each p, LESS times that whenever a step changes no y by more than CENTRAL, and nothing below LEAST_EXTRA.
+PATIENCE = wp.constant(10)
+MOST_EXTRA = wp.constant(0.1)
+LEAST_EXTRA = wp.constant(1.0e-8)
+LESS = wp.constant(0.05)
+CENTRAL = wp.constant(0.3)
 
 #: Where it has not ended after so many passes over the faces there is no solution; it takes 3 or 4 inside a cage.
-MOST_PASSES = wp.constant(40)
+MOST_PASSES = wp.constant(80)
 
 #: Points this far out of the cage, as a share of the size, count as on it: 1e-5 in world units, and its rounding.
 OUTSIDE = wp.constant(wp.float64(1.1e-5))
@@ -151,20 +159,25 @@ class Likelihood:
     products: wp.vec3  # yz, zx, xy
     total: float  # sum y
     largest: float  # of 1 / (1 + phi . d)
+    rarest: float  # the largest 1 / p
+    beyond: int  # 1: some 1 + phi . d is not positive, phi is none
     step: wp.vec3
     change: float  # no y changes by more than this share over the step
 
 
 @wp.func
 def with_face(sums: Likelihood, direction: wp.vec3, prior: float, share: float):
-    """Sums with one more face; share: 1 / (1 + phi . d)."""
+    """Sums with one more face, of a prior above 0; share: 1 / (1 + phi . d)."""
     y = prior * share
     slope = (y * share) * direction
     sums.balance += y * direction
     sums.squares += wp.cw_mul(slope, direction)
     sums.products += wp.vec3(slope[1] * direction[2], slope[2] * direction[0], slope[0] * direction[1])
     sums.total += y
-    sums.largest = wp.max(sums.largest, wp.where(prior > 0.0, share, 0.0))
+    sums.largest = wp.max(sums.largest, share)
+    sums.rarest = wp.max(sums.rarest, 1.0 / prior)
+    if share <= 0.0:
+        sums.beyond = 1
     return sums
 
 
@@ -181,21 +194,64 @@ def with_step(sums: Likelihood):
     sums.change = 1.0
     if det > 0.0:
         sums.step = wp.vec3(wp.dot(first, b), wp.dot(second, b), wp.dot(third, b)) / det
-        sums.change = wp.length(sums.step) * sums.largest
+        # of y / p both bounds hold: |d| is 1, and the matrix is no less than any of its parts
+        decrement = wp.max(wp.dot(b, sums.step), 0.0)
+        sums.change = wp.min(wp.length(sums.step) * sums.largest, wp.sqrt(decrement * sums.rarest))
     return sums
-
-
-@wp.func
-def step_length(change: float):
-    """Of a step of Newton's method: whole where that converges, else the longest that goes down all its way, as no
-    1 + phi . d shrinks to less than 1 / (1 + change) of itself along it."""
-    return wp.where(change < NEAR, 1.0, 1.0 / (1.0 + change))
 
 
 @wp.func
 def has_settled(sums: Likelihood):
     """Whether the step is the last one."""
-    return sums.total > 0.0 and (sums.change < LAST_CHANGE or wp.length(sums.balance) <= ROUNDING * sums.total)
+    return (
+        sums.beyond == 0
+        and sums.total > 0.0
+        and (sums.change < LAST_CHANGE or wp.length(sums.balance) <= ROUNDING * sums.total)
+    )
+
+
+@wp.struct
+class Search:
+    """Where the search for phi is, and how it came there."""
+
+    phi: wp.vec3
+    step: wp.vec3  # whole
+    taken: float  # of the step
+    safe: float  # as much of the step as goes down all its way
+    slope: float  # along the step, where it began
+    bold: float
+    extra: float  # that each p has more: the way of interior points
+
+
+@wp.func
+def searched(search: Search, sums: Likelihood, passes: int):
+    """The next phi to try, after the sums of the last one: a step on, or back to the part of the last step that is safe
+    where it went too far."""
+    if passes == PATIENCE:
+        search = Search()
+        search.extra = MOST_EXTRA
+        return search
+    if sums.beyond == 1 or wp.dot(sums.balance, search.step) < -0.25 * search.slope:
+        search.phi -= (search.taken - search.safe) * search.step
+        search.taken = search.safe
+        search.bold = 1.0
+        return search
+    if search.extra > 0.0 and sums.change < CENTRAL:
+        search.phi += sums.step
+        search.step = wp.vec3(0.0, 0.0, 0.0)
+        search.slope = 0.0
+        search.taken = 0.0
+        search.safe = 0.0
+        search.bold = 1.0
+        search.extra = wp.where(search.extra < LEAST_EXTRA, 0.0, LESS * search.extra)
+        return search
+    search.step = sums.step
+    search.slope = wp.dot(sums.balance, sums.step)
+    search.bold = BOLDER * wp.max(search.bold, 1.0)
+    search.safe = 1.0 / (1.0 + sums.change)  # along it no 1 + phi . d shrinks to less than this share of itself
+    search.taken = wp.min(search.bold * search.safe, 1.0)
+    search.phi += search.taken * search.step
+    return search
 
 
 @wp.func
@@ -210,7 +266,7 @@ def maximum_likelihood_point(
     """`maximum_likelihood_position`, and the residual |sum y d| / sum y where the iterations have found no solution
     and the position is a guess, else 0."""
     position = wp.vec3(0.0, 0.0, 0.0)
-    phi = wp.vec3(0.0, 0.0, 0.0)
+    search = Search()
     residual = float(0.0)
     passes = int(0)
     while passes < MOST_PASSES:
@@ -255,8 +311,8 @@ def maximum_likelihood_point(
             elif det > 0.0:
                 term = far_face_term(edge_ba, edge_bc, edge_ca, normal, det)
             if term.prior > 0.0:
-                share = 1.0 / (1.0 + wp.dot(phi, term.direction))
-                sums = with_face(sums, term.direction, term.prior, share)
+                share = 1.0 / (1.0 + wp.dot(search.phi, term.direction))
+                sums = with_face(sums, term.direction, term.prior + search.extra, share)
                 y = term.prior * share
                 weight = y * (term.corners[0] + term.corners[1] + term.corners[2])
                 along = y * at_corners(term, target_a, target_b, target_c)
@@ -272,12 +328,12 @@ def maximum_likelihood_point(
             edge_ba = edge_ca
             f += 1
         sums = with_step(sums)
-        if has_settled(sums):
+        if search.extra == 0.0 and has_settled(sums):
             step = sums.step
             position += wp.vec3(wp.dot(slope_x, step), wp.dot(slope_y, step), wp.dot(slope_z, step))
             position = position / (total + wp.dot(total_slope, step))
             return forward_only(wp.vec4(position[0], position[1], position[2], 0.0), x)
-        phi += step_length(sums.change) * sums.step
+        search = searched(search, sums, passes)
         position = position * wp.where(total == 0.0, 0.0, 1.0 / total)
         residual = wp.where(sums.total == 0.0, 1.0, wp.length(sums.balance) / sums.total)
         passes += 1
@@ -329,7 +385,7 @@ def weigh_maximum_likelihood(
     """weights (n, v): normalised coordinates, whatever the rows held before; NaN where there are none."""
     n = first + wp.tid()
     x = points[n]
-    phi = wp.vec3(0.0, 0.0, 0.0)
+    search = Search()
     passes = int(0)
     touched = int(-1)
     while passes < MOST_PASSES:
@@ -341,14 +397,15 @@ def weigh_maximum_likelihood(
                 touched = f
                 break
             if term.prior > 0.0:
-                sums = with_face(sums, term.direction, term.prior, 1.0 / (1.0 + wp.dot(phi, term.direction)))
+                share = 1.0 / (1.0 + wp.dot(search.phi, term.direction))
+                sums = with_face(sums, term.direction, term.prior + search.extra, share)
         if touched >= 0:
             break
         sums = with_step(sums)
-        if has_settled(sums):
-            phi += sums.step
+        if search.extra == 0.0 and has_settled(sums):
+            search.phi += sums.step
             break
-        phi += step_length(sums.change) * sums.step
+        search = searched(search, sums, passes)
         passes += 1
     clear_row(weights, n)
     if touched >= 0:
@@ -361,7 +418,7 @@ def weigh_maximum_likelihood(
             face = faces[f]
             term = face_term(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
             if term.prior > 0.0:
-                corners = term.corners * (term.prior / (1.0 + wp.dot(phi, term.direction)))
+                corners = term.corners * (term.prior / (1.0 + wp.dot(search.phi, term.direction)))
                 add_corners(weights, n, face, corners)
                 total += corners[0] + corners[1] + corners[2]
         scale = wp.where(passes < MOST_PASSES, 1.0 / total, wp.nan)

@@ -257,6 +257,7 @@ def bind_maximum_likelihood(
         balance = wp.vec3d()
         matrix = wp.mat33d()
         largest = wp.float64(0.0)
+        rarest = wp.float64(0.0)
         for f in range(faces.shape[0]):
             face = faces[f]
             term = exact_face_term(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, _ONE)
@@ -265,8 +266,10 @@ def bind_maximum_likelihood(
                 balance += term.prior * share * term.direction
                 matrix += wp.outer(term.prior * share * share * term.direction, term.direction)
                 largest = wp.max(largest, share)
+                rarest = wp.max(rarest, _ONE / term.prior)
         step = wp.inverse(matrix) * balance
-        change = wp.length(step) * largest
+        decrement = wp.sqrt(wp.max(wp.dot(step, balance), wp.float64(0.0)) * rarest)
+        change = wp.min(wp.length(step) * largest, decrement)
         phi += step / (_ONE + change)
         passes += 1
         if change < LAST_CHANGE:

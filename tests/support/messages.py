@@ -43,7 +43,7 @@ MESSAGES = {
     "coordinates.far_point": "1 of 3 points is 1000 times .* the first is point 1 at",
     "coordinates.gaps_memory": "sides of narrow gaps at resolution 32 .* GiB free: take a lower",
     "coordinates.gaps_open": "narrower than a cell .* opens by up to 0.0.* resolution above 32",
-    "coordinates.no_solution": "no maximum_likelihood {what} where the posed cage passes through itself or is inside",
+    "coordinates.no_solution": "no maximum_likelihood {what} are found where the posed cage passes through itself",
     "coordinates.points_at_a_time": "weights of 10000 points.*GiB.*: take fewer points at a time",
     "coordinates.points_outside": r"^2 of 300 points are outside .* the first is point 7 at \(.*\).*$",
     "coordinates.rows_outside": "2 of 3 points are outside the cage, the first is row 1",

@@ -136,7 +136,7 @@ def _require_solved(local: _Local, kind: CoordinateKind, values: Any, lost: np.n
             raise InputError(
                 f"{len(unsolved)} of {local.count} points {agreed(len(unsolved), 'has', 'have')} no {kind.name} "
                 f"coordinates, the first is point {unsolved[0]} at ({local.place(unsolved[0])}): "
-                "the cage must not pass through itself or be inside out there"
+                "the cage must not pass through itself, be inside out or a hundred times wider than high there"
             )
 
 
@@ -450,8 +450,8 @@ def maximum_likelihood_coordinates(
 
     Raises:
         ValueError: For points outside (with their number and the first of them), of another shape or not finite, for a
-            cage that is open, inward or degenerate, for points where a cage that passes through itself is inside out,
-            for too little memory on the device, and for another `outside`.
+            cage that is open, inward or degenerate, for points where none are found, as a cage is inside out or a
+            hundred times wider than high, for too little memory on the device, and for another `outside`.
     """
     (weights,) = _weigh(COORDINATE_KINDS["maximum_likelihood"], points, cage, device, outside)
     return as_given(weights, points)

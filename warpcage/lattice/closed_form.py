@@ -26,6 +26,9 @@ from .nodes import CutRowTable, LatticeNodes, continue_outwards, continue_throug
 from .sizes import NodeSections, PoseSizes
 from .solver import MapSolver, WeightBlock
 
+#: Where iterations may find no coordinates.
+_WITHOUT = "where the posed cage passes through itself, is inside out or a hundred times wider than high"
+
 
 class ClosedFormSolver(MapSolver):
     """Maps by the kernels of a closed form: few nodes are evaluated, and the others interpolated."""
@@ -150,8 +153,8 @@ class IterativeSolver(VertexWeightSolver):
         super().take_status(status)
         if self.residual > 0.0:
             warn_caller(
-                f"there are no {self._kind.name} coordinates where the posed cage passes through itself or is inside "
-                "out, and the picture is rough there: pose it without, or take other coordinates"
+                f"no {self._kind.name} coordinates are found {_WITHOUT}, and the picture is rough there: "
+                "pose it without, or take other coordinates"
             )
 
     def weigh(self) -> list[WeightBlock]:
@@ -163,8 +166,7 @@ class IterativeSolver(VertexWeightSolver):
                 self._launch(find_not_finite, weights.shape[0], [weights[:, 0]], [bad])
         if bad.numpy()[0]:
             raise InputError(
-                f"there are no {self._kind.name} weights where the posed cage passes through itself or is inside out: "
-                "pose it without, or take other coordinates"
+                f"no {self._kind.name} weights are found {_WITHOUT}: pose it without, or take other coordinates"
             )
         return blocks
 

@@ -188,8 +188,8 @@ class CageBinding(HeldOnDevice):
             self._pack(begin, rows, items)
         if kind.is_iterative and unsolved.numpy()[0]:
             raise InputError(
-                f"splats have no {kind.name} coordinates where the cage passes through itself or is inside out: "
-                "take a cage that does not, or other coordinates"
+                f"no {kind.name} coordinates of splats are found where the cage passes through itself, is inside out "
+                "or a hundred times wider than high: take another cage, or other coordinates"
             )
 
     def _pack(self, begin: int, rows: wp.array, items: int) -> None:

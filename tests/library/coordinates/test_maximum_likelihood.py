@@ -136,6 +136,17 @@ def test_map_is_the_weighted_sum_and_affine_poses_are_exact(device):
     assert np.abs(moved - points @ matrix.T - 2.0).max() < 3e-6
 
 
+@pytest.mark.parametrize("scale", [(1, 1, 1e-2), (1, 1e-2, 1e-2), (1, 1e-3, 1e-3)], ids=["leaf", "rod", "needle"])
+@some_cages
+def test_flat_and_long_cages_have_them(name, scale, device):
+    """Where next to no solid angle is left along some direction, y is far from p, and steps of Newton's method go astray."""
+    vertices, faces = oracles.cage(name)
+    vertices = vertices * scale
+    points = oracles.inside_points(vertices, faces, 200)
+    weights = maximum_likelihood_coordinates(points, Cage(vertices, faces), device=device).astype(np.float64)
+    assert weights.min() > -1e-7 and np.abs(weights @ vertices - points).max() < 3e-6
+
+
 def test_a_leg_goes_with_the_other_less_than_by_mean_value(device):
     """Both legs stand a fifth of the width apart; one is lifted by 0.7."""
     vertices, faces = two_legs()

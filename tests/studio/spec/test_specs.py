@@ -305,7 +305,7 @@ USUAL = {"coordinates": "mean_value", "resolution": 24}
 SHOWN = {
     "background": ("ball.npz", "black"),
     "supersampling": ("ball.npz", 3),
-    "coordinates": ("ball.npz", "green"),
+    "coordinates": ("ball.npz", "maximum_likelihood"),
     "resolution": ("ball.npz", 9),
     "density": ("ball.npz", "paper"),
     "overlay": ("ball.npz", True),
