@@ -1,0 +1,575 @@
+"""Mean value coordinates of points in (or around) a closed cage of bilinear quads and triangles, and their map."""
+
+# Thiery, Memari and Boubekeur, "Mean value coordinates for quad cages in 3D" (SIGGRAPH Asia 2018), by whose definition
+# corner i of the patch r(u, v) = sum_i b_i(u, v) r_i, with r_i the corners seen from the point and b_i the bilinear
+# basis, weighs the integral of b_i / |r| over the patch's solid angle:
+#   w_i = int_0^1 int_0^1 b_i T / |r|^4 du dv,      T = r . (r_u x r_v), which is bilinear in u and v.
+# Three of four unknowns are closed: sum_i w_i r_i = m, the integral of the unit directions over the solid angle, which
+# the four straight edges alone decide (Stokes),
+#   m = 1/2 sum_i beta_i C_i / |C_i|,   C_i = r_i x r_i+1,   beta_i = the angle that C_i spans.
+# What is left is the part along the null vector n, for which sum_i n_i r_i = 0:
+#   n_0 = det(r1, r2, r3),  n_1 = -det(r0, r2, r3),  n_2 = det(r0, r1, r3),  n_3 = -det(r0, r1, r2),
+#   w = w_m + n G / |n|^2,  w_m the solution without a part along n,  G = int int (sum_i n_i b_i) T / |r|^4 du dv,
+# where T has n_2, -n_3, n_0, -n_1 at the corners. G has no closed form: the paper sums 9 x 9 samples by a projection
+# of the point. Here Gauss-Legendre rules give it to about 1e-6 of all weights: 3 x 3 nodes for patches that are FAR,
+# nearer ones panels of 4 x 4 in s of u = u0 + a sinh(s), likewise of v, around the nearest point u0, v0 (Johnston and
+# Elliott 2005), as many as keep that accuracy however near.
+# On the patch w tends to its bilinear coordinates: points within SNAP of the size take those. A triangle is a quad that
+# names its last corner twice. One unit for points (n,), vertices, targets (v,) and size; near the origin (float32).
+
+import warp as wp
+
+from ..core.gradients import forward_only_in
+from ..core.loads import vec3_entry, vec4_entry
+from ..mesh.fans import INFINITE, PLANE_BAND, SLIVER
+from .mean_value import FLAT, SNAP, clear_row, face_edge, has_cancelled
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.array2d(dtype=wp.float32),))
+
+#: Patches whose middle is farther than this, in distances from there to their farthest corner, take 3 x 3 nodes.
+FAR = wp.constant(2.8)
+NEAR = wp.constant(2.0)
+NEAR_OUTSIDE = wp.constant(3.0)
+
+#: Longest panel in s, whose poles lie pi / 2 or, in sheared patches, less off the real axis; and where integrands end.
+PANEL = wp.constant(0.9)
+END = wp.constant(8.0)
+
+#: Nearest points are sought until steps are shorter than the root of this share of their distance.
+ENOUGH = wp.constant(wp.float64(0.01))
+
+#: Gauss-Legendre nodes in [-1, 1] and weights, 4 points; and 3 points (nodes at 0 and so far off, weights over 18).
+_INNER_WEIGHT = wp.constant(wp.float64(0.6521451548625461))
+_OUTER_WEIGHT = wp.constant(wp.float64(0.34785484513745385))
+_OFF = wp.constant(0.7745966692)
+
+_ZERO = wp.constant(wp.float64(0.0))
+_QUARTER = wp.constant(wp.float64(0.25))
+_HALF = wp.constant(wp.float64(0.5))
+_ONE = wp.constant(wp.float64(1.0))
+_TINY = wp.constant(wp.float64(1.0e-200))
+
+
+@wp.struct
+class NearQuad:
+    weights: wp.vec4d  # of the four corners; bilinear coordinates where the point lies on the patch
+    touching: int
+
+
+@wp.func
+def mixed(along: wp.vec4d, p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, s: wp.vec3d):
+    return along[0] * p + along[1] * q + along[2] * r + along[3] * s
+
+
+@wp.func
+def bilinear_basis(u: wp.float64, v: wp.float64):
+    return wp.vec4d((_ONE - u) * (_ONE - v), u * (_ONE - v), u * v, (_ONE - u) * v)
+
+
+@wp.func
+def nearest_share(from_: wp.vec3d, along: wp.vec3d):
+    """Where on the line from_ + t along, t in [0, 1], it is nearest to the origin."""
+    return wp.clamp(-wp.dot(from_, along) / (wp.dot(along, along) + _TINY), _ZERO, _ONE)
+
+
+@wp.func
+def nearest_bilinear(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, s: wp.vec3d):
+    """u, v of the patch's point nearest to the origin; if it is strongly bent, perhaps only nearer than all around."""
+    best = wp.vec2d(_HALF, _HALF)
+    nearest = wp.length_sq(mixed(bilinear_basis(_HALF, _HALF), p, q, r, s))
+    for k in range(4):
+        u = _QUARTER + _HALF * wp.float64(k % 2)
+        v = _QUARTER + _HALF * wp.float64(k / 2)
+        squared = wp.length_sq(mixed(bilinear_basis(u, v), p, q, r, s))
+        if squared < nearest:
+            nearest = squared
+            best = wp.vec2d(u, v)
+    step = int(0)
+    while step < 12:
+        u = best[0]
+        v = best[1]
+        at = mixed(bilinear_basis(u, v), p, q, r, s)
+        by_u = (_ONE - v) * (q - p) + v * (r - s)
+        by_v = (_ONE - u) * (s - p) + u * (r - q)
+        uu = wp.dot(by_u, by_u)
+        uv = wp.dot(by_u, by_v)
+        vv = wp.dot(by_v, by_v)
+        below = uu * vv - uv * uv
+        if below > wp.float64(1.0e-12) * uu * vv:  # Gauss-Newton
+            a = wp.dot(at, by_u)
+            b = wp.dot(at, by_v)
+            u = wp.clamp(u - (a * vv - b * uv) / below, _ZERO, _ONE)
+            v = wp.clamp(v - (b * uu - a * uv) / below, _ZERO, _ONE)
+            if wp.length_sq(mixed(bilinear_basis(u, v), p, q, r, s)) > nearest:
+                u = best[0]
+                v = best[1]
+        left = p + v * (s - p)  # then along either axis, which never leads away
+        u = nearest_share(left, q + v * (r - q) - left)
+        low = p + u * (q - p)
+        v = nearest_share(low, s + u * (r - s) - low)
+        moved = mixed(bilinear_basis(u, v), p, q, r, s)
+        nearest = wp.length_sq(moved)
+        step = wp.where(wp.length_sq(moved - at) <= ENOUGH * nearest, 12, step + 1)
+        best = wp.vec2d(u, v)
+    return best
+
+
+@wp.struct
+class Panels:
+    """Of an integral over [0, 1] in s, with u = u0 + a sinh(s): of one length, each with four nodes."""
+
+    count: int
+    first: wp.float64  # exp(s) at the middle of the first panel
+    step: wp.float64  # exp of their length
+    inner: wp.float64  # exp of how far the inner nodes are off the middle
+    outer: wp.float64
+    half: wp.float64  # of the length
+
+
+@wp.func
+def asinh(x: float):
+    size = wp.abs(x)
+    return wp.sign(x) * wp.log(size + wp.sqrt(size * size + 1.0))
+
+
+@wp.func
+def sinh_panels(center: wp.float64, scale: wp.float64, longest: float):
+    # float32 will do for the ends of panels: what is left out or counted twice there is 1e-7 of the integral
+    begin = wp.max(-asinh(float(center / scale)), -END)
+    end = wp.min(asinh(float((_ONE - center) / scale)), END)
+    panels = Panels()
+    panels.count = int(wp.ceil((end - begin) / longest))
+    half = 0.5 * (end - begin) / float(panels.count)
+    panels.half = wp.float64(half)
+    panels.first = wp.float64(wp.exp(begin + half))
+    panels.inner = wp.float64(wp.exp(0.33998104358485626 * half))
+    panels.outer = wp.float64(wp.exp(0.8611363115940526 * half))
+    panels.step = wp.float64(wp.exp(half + half))
+    return panels
+
+
+@wp.func
+def node_integrand(
+    power: wp.float64, center: wp.float64, scale: wp.float64, at: wp.vec3d, along: wp.vec3d, t: wp.vec2d, g: wp.vec2d
+):
+    """Integrand of G times du / ds at s = log(power), on the line at + u along; T and sum n b are t, g at its ends."""
+    inverse = _ONE / power
+    u = center + scale * (_HALF * (power - inverse))
+    r = at + u * along
+    squared = wp.length_sq(r)
+    values = (t[0] + u * t[1]) * (g[0] + u * g[1])
+    return values * (power + inverse) / (squared * squared)
+
+
+@wp.func
+def null_integral(
+    p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, s: wp.vec3d, n: wp.vec4d, center: wp.vec2d, scale: wp.vec2d, longest: float
+):
+    """G of the patch p, q, r, s with null vector n. center, scale: u0, v0 and a of either axis."""
+    along = sinh_panels(center[0], scale[0], longest)
+    across = sinh_panels(center[1], scale[1], longest)
+    total = _ZERO
+    k = int(0)
+    middle = across.first
+    while k < 4 * across.count:
+        off = wp.where(k % 4 < 2, across.inner, across.outer)
+        power = wp.where(k % 2 == 0, middle * off, middle / off)
+        inverse = _ONE / power
+        v = center[1] + scale[1] * (_HALF * (power - inverse))
+        at = p + v * (s - p)
+        line = q + v * (r - q) - at
+        t = wp.vec2d(n[2] * (_ONE - v) - n[1] * v, (n[0] + n[1]) * v - (n[2] + n[3]) * (_ONE - v))
+        g = wp.vec2d(n[0] * (_ONE - v) + n[3] * v, (n[1] - n[0]) * (_ONE - v) + (n[2] - n[3]) * v)
+        row = _ZERO
+        j = int(0)
+        here = along.first
+        while j < along.count:
+            row += _INNER_WEIGHT * (
+                node_integrand(here * along.inner, center[0], scale[0], at, line, t, g)
+                + node_integrand(here / along.inner, center[0], scale[0], at, line, t, g)
+            )
+            row += _OUTER_WEIGHT * (
+                node_integrand(here * along.outer, center[0], scale[0], at, line, t, g)
+                + node_integrand(here / along.outer, center[0], scale[0], at, line, t, g)
+            )
+            here = here * along.step
+            j += 1
+        total += row * wp.where(k % 4 < 2, _INNER_WEIGHT, _OUTER_WEIGHT) * (power + inverse)
+        k += 1
+        if k % 4 == 0:
+            middle = middle * across.step
+    return total * (_QUARTER * scale[0] * scale[1] * along.half * across.half)
+
+
+@wp.func
+def mean_of_edge(cross: wp.vec3d, cosine: wp.float64):
+    sine = wp.length(cross) + _TINY
+    return cross * (wp.atan2(sine, cosine) / sine)
+
+
+@wp.func
+def on_the_corners(
+    n: wp.vec4d,
+    g: wp.float64,
+    d01: wp.float64,
+    d12: wp.float64,
+    d23: wp.float64,
+    d30: wp.float64,
+    d02: wp.float64,
+    d13: wp.float64,
+):
+    """w = w_m + n g / |n|^2 with d_ij = m . (r_i x r_j)."""
+    w = wp.vec4d(
+        n[1] * d23 - n[2] * d13 + n[3] * d12,
+        -n[0] * d23 - n[2] * d30 - n[3] * d02,
+        n[0] * d13 + n[1] * d30 + n[3] * d01,
+        n[1] * d02 - n[0] * d12 - n[2] * d01,
+    )
+    return (g * n - w) * (_ONE / wp.dot(n, n))
+
+
+@wp.func(inline=False)
+def quad_weights_in_double(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), quad: wp.vec4i, size: float, near: float):
+    """Corner weights of a patch as seen from x, however near, in float64."""
+    p = wp.vec3d(vertices[quad[0]]) - wp.vec3d(x)
+    q = wp.vec3d(vertices[quad[1]]) - wp.vec3d(x)
+    r = wp.vec3d(vertices[quad[2]]) - wp.vec3d(x)
+    s = wp.vec3d(vertices[quad[3]]) - wp.vec3d(x)
+    unit = wp.float64(size)
+    result = NearQuad()
+    is_triangle = s == r
+    middle = _QUARTER * (p + q + r + s)
+    radius = wp.max(
+        wp.max(wp.length_sq(p - middle), wp.length_sq(q - middle)),
+        wp.max(wp.length_sq(r - middle), wp.length_sq(s - middle)),
+    )
+    longest = float(PANEL)
+    center = wp.vec2d(_HALF, _HALF)
+    scale = wp.vec2d(wp.float64(4.0), wp.float64(4.0))
+    if wp.length_sq(middle) < wp.float64(near * near) * radius:
+        center = nearest_bilinear(p, q, r, s)
+        foot = bilinear_basis(center[0], center[1])
+        distance = wp.length(mixed(foot, p, q, r, s))
+        if distance < SNAP * unit:
+            result.weights = foot
+            result.touching = 1
+            return result
+        by_u = (_ONE - center[1]) * (q - p) + center[1] * (r - s)
+        by_v = (_ONE - center[0]) * (s - p) + center[0] * (r - q)
+        length_u = wp.length(by_u) + wp.float64(0.1) * distance
+        length_v = wp.length(by_v) + wp.float64(0.1) * distance
+        scale = wp.vec2d(distance / length_u, distance / length_v)
+        longest = PANEL * wp.max(float(wp.length(wp.cross(by_u, by_v)) / (length_u * length_v)), 0.2)
+    c01 = wp.cross(p, q - p)
+    c12 = wp.cross(q, r - q)
+    c23 = wp.cross(r, s - r)
+    c30 = wp.cross(s, p - s)
+    normal_3 = wp.cross(q - p, r - p)
+    normal_1 = wp.cross(r - p, s - p)
+    normal_2 = wp.cross(q - p, s - p)
+    normal_0 = wp.cross(r - q, s - q)
+    n = wp.vec4d(wp.dot(normal_0, q), -wp.dot(normal_1, p), wp.dot(normal_2, p), -wp.dot(normal_3, p))
+    areas = wp.length_sq(normal_0) + wp.length_sq(normal_1) + wp.length_sq(normal_2) + wp.length_sq(normal_3)
+    flat = FLAT * unit
+    if wp.dot(n, n) <= flat * flat * areas:
+        return result
+    mean = _HALF * (
+        mean_of_edge(c01, wp.dot(p, q))
+        + mean_of_edge(c12, wp.dot(q, r))
+        + mean_of_edge(c23, wp.dot(r, s))
+        + mean_of_edge(c30, wp.dot(s, p))
+    )
+    g = _ZERO
+    if not is_triangle:  # whose last two corners share what they weigh
+        g = null_integral(p, q, r, s, n, center, scale, longest)
+    d02 = wp.dot(mean, wp.cross(p, r - p))
+    d13 = wp.dot(mean, wp.cross(q, s - q))
+    result.weights = on_the_corners(
+        n, g, wp.dot(mean, c01), wp.dot(mean, c12), wp.dot(mean, c23), wp.dot(mean, c30), d02, d13
+    )
+    return result
+
+
+@wp.func
+def row_of_three(low: wp.vec3, high: wp.vec3, t_low: float, t_high: float, g_low: float, g_high: float):
+    """18 times the integral of g T / |r|^4 over a line by three nodes."""
+    middle = 0.5 * (low + high)
+    off = (0.5 * _OFF) * (high - low)
+    t = 0.5 * (t_low + t_high)
+    g = 0.5 * (g_low + g_high)
+    t_off = (0.5 * _OFF) * (t_high - t_low)
+    g_off = (0.5 * _OFF) * (g_high - g_low)
+    before = wp.length_sq(middle - off)
+    at = wp.length_sq(middle)
+    after = wp.length_sq(middle + off)
+    outer = (t - t_off) * (g - g_off) / (before * before) + (t + t_off) * (g + g_off) / (after * after)
+    return 5.0 * outer + 8.0 * t * g / (at * at)
+
+
+@wp.func
+def far_quad_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3, n: wp.vec4):
+    """Corner weights of a patch clear of the origin and of its plane, with null vector n."""
+    ab = face_edge(a, b)
+    bc = face_edge(b, c)
+    cd = face_edge(c, d)
+    da = face_edge(d, a)
+    mean = 0.5 * (ab.mean + bc.mean + cd.mean + da.mean)
+    low = 0.5 * (1.0 - _OFF)
+    high = 1.0 - low
+    g = (
+        5.0
+        * row_of_three(
+            high * a + low * d,
+            high * b + low * c,
+            high * n[2] - low * n[1],
+            low * n[0] - high * n[3],
+            high * n[0] + low * n[3],
+            high * n[1] + low * n[2],
+        )
+        + 5.0
+        * row_of_three(
+            low * a + high * d,
+            low * b + high * c,
+            low * n[2] - high * n[1],
+            high * n[0] - low * n[3],
+            low * n[0] + high * n[3],
+            low * n[1] + high * n[2],
+        )
+        + 8.0
+        * row_of_three(
+            0.5 * (a + d),
+            0.5 * (b + c),
+            0.5 * (n[2] - n[1]),
+            0.5 * (n[0] - n[3]),
+            0.5 * (n[0] + n[3]),
+            0.5 * (n[1] + n[2]),
+        )
+    )
+    g = g * (1.0 / 324.0)
+    d01 = wp.dot(mean, ab.cross)
+    d12 = wp.dot(mean, bc.cross)
+    d23 = wp.dot(mean, cd.cross)
+    d30 = wp.dot(mean, da.cross)
+    d02 = wp.dot(mean, wp.cross(a, c - a))
+    d13 = wp.dot(mean, wp.cross(b, d - b))
+    w = wp.vec4(
+        n[1] * d23 - n[2] * d13 + n[3] * d12,
+        -n[0] * d23 - n[2] * d30 - n[3] * d02,
+        n[0] * d13 + n[1] * d30 + n[3] * d01,
+        n[1] * d02 - n[0] * d12 - n[2] * d01,
+    )
+    return (g * n - w) * (1.0 / wp.dot(n, n))
+
+
+@wp.struct
+class QuadPlanes:
+    """What all points have in common of a patch with corners a, b, c, d."""
+
+    abc: wp.vec4  # (b - a) x (c - a); the patch is for float64 where |n|^2, seen from the point, is no more than this
+    acd: wp.vec4  # (c - a) x (d - a); ... where its middle is nearer than the root of this
+    abd: wp.vec4  # (b - a) x (d - a); det(b - a, c - a, d - a)
+
+
+@wp.func
+def quad_planes(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3, size: float):
+    ab = b - a
+    ac = c - a
+    ad = d - a
+    abc = wp.cross(ab, ac)
+    acd = wp.cross(ac, ad)
+    abd = wp.cross(ab, ad)
+    squared = wp.length_sq(abc) + wp.length_sq(acd) + wp.length_sq(abd) + wp.length_sq(wp.cross(c - b, d - b))
+    edges = wp.length_sq(ab) + wp.length_sq(ac) + wp.length_sq(ad)
+    band = PLANE_BAND * size
+    limit = wp.where(squared <= SLIVER * edges * edges, INFINITE, band * band * squared)
+    middle = 0.25 * (ab + ac + ad)
+    radius = wp.max(
+        wp.max(wp.length_sq(middle), wp.length_sq(ab - middle)),
+        wp.max(wp.length_sq(ac - middle), wp.length_sq(ad - middle)),
+    )
+    planes = QuadPlanes()
+    planes.abc = wp.vec4(abc[0], abc[1], abc[2], limit)
+    planes.acd = wp.vec4(acd[0], acd[1], acd[2], FAR * FAR * radius)
+    planes.abd = wp.vec4(abd[0], abd[1], abd[2], wp.dot(abc, ad))
+    return planes
+
+
+@wp.func
+def null_vector(planes: QuadPlanes, a: wp.vec3):
+    n1 = -(planes.acd[0] * a[0] + planes.acd[1] * a[1] + planes.acd[2] * a[2])
+    n2 = planes.abd[0] * a[0] + planes.abd[1] * a[1] + planes.abd[2] * a[2]
+    n3 = -(planes.abc[0] * a[0] + planes.abc[1] * a[1] + planes.abc[2] * a[2])
+    return wp.vec4(planes.abd[3] - n1 - n2 - n3, n1, n2, n3)
+
+
+@wp.func
+def is_for_double(planes: QuadPlanes, n: wp.vec4, a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
+    return wp.dot(n, n) <= planes.abc[3] or wp.length_sq(a + b + c + d) < 16.0 * planes.acd[3]
+
+
+@wp.kernel
+def prepare_quads(
+    first: int,
+    vertices: wp.array(dtype=wp.vec3),
+    quads: wp.array(dtype=wp.vec4i),
+    size: float,
+    planes: wp.array(dtype=wp.vec4),
+):
+    """planes (3 q,): the fields of QuadPlanes of each patch. size: of the cage."""
+    f = first + wp.tid()
+    quad = quads[f]
+    of_quad = quad_planes(vertices[quad[0]], vertices[quad[1]], vertices[quad[2]], vertices[quad[3]], size)
+    planes[3 * f] = of_quad.abc
+    planes[3 * f + 1] = of_quad.acd
+    planes[3 * f + 2] = of_quad.abd
+
+
+@wp.func(inline=False)
+def quad_position_in_double(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    quads: wp.array(dtype=wp.vec4i),
+    targets: wp.array(dtype=wp.vec3),
+    size: float,
+):
+    """`quad_mean_value_position` of a point that is not on the cage, in float64."""
+    total = _ZERO
+    position = wp.vec3d(_ZERO, _ZERO, _ZERO)
+    f = int(0)
+    while f < quads.shape[0]:
+        quad = quads[f]
+        w = quad_weights_in_double(x, vertices, quad, size, NEAR_OUTSIDE).weights
+        total += w[0] + w[1] + w[2] + w[3]
+        for k in range(4):
+            position += w[k] * wp.vec3d(targets[quad[k]])
+        f += 1
+    return forward_only(wp.vec3(position * wp.where(total == _ZERO, _ZERO, _ONE / total)), x)
+
+
+@wp.func
+def quad_mean_value_position(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    quads: wp.array(dtype=wp.vec4i),
+    planes: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    size: float,
+):
+    """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage. planes: see prepare_quads."""
+    total = float(0.0)
+    position = wp.vec3(0.0, 0.0, 0.0)
+    waiting = int(-1)  # faces for float64, done last: the points of a warp rarely meet theirs at the same face
+    next_waiting = int(-1)
+    f = int(0)
+    while f < quads.shape[0] or waiting >= 0:
+        while f < quads.shape[0] and next_waiting < 0:
+            quad = quads[f]
+            a = vec3_entry(vertices, quad[0]) - x
+            b = vec3_entry(vertices, quad[1]) - x
+            c = vec3_entry(vertices, quad[2]) - x
+            d = vec3_entry(vertices, quad[3]) - x
+            of_quad = QuadPlanes(
+                vec4_entry(planes, 3 * f), vec4_entry(planes, 3 * f + 1), vec4_entry(planes, 3 * f + 2)
+            )
+            n = null_vector(of_quad, a)
+            if is_for_double(of_quad, n, a, b, c, d):
+                next_waiting = waiting
+                waiting = f
+            else:
+                w = far_quad_weights(a, b, c, d, n)
+                total += w[0] + w[1] + w[2] + w[3]
+                position += w[0] * vec3_entry(targets, quad[0])
+                position += w[1] * vec3_entry(targets, quad[1])
+                position += w[2] * vec3_entry(targets, quad[2])
+                position += w[3] * vec3_entry(targets, quad[3])
+            f += 1
+        if waiting >= 0:
+            quad = quads[waiting]
+            waiting = next_waiting
+            next_waiting = -1
+            near = quad_weights_in_double(x, vertices, quad, size, NEAR)
+            w = wp.vec4(near.weights)
+            along = (
+                w[0] * targets[quad[0]] + w[1] * targets[quad[1]] + w[2] * targets[quad[2]] + w[3] * targets[quad[3]]
+            )
+            if near.touching == 1:
+                return forward_only(along, x)
+            total += w[0] + w[1] + w[2] + w[3]
+            position += along
+    if has_cancelled(total, size):
+        return quad_position_in_double(x, vertices, quads, targets, size)
+    return forward_only(position * wp.where(total == 0.0, 0.0, 1.0 / total), x)
+
+
+@wp.kernel(launch_bounds=(128, 5))
+def map_quad_mean_value(
+    first: int,
+    points: wp.array(dtype=wp.vec3),
+    vertices: wp.array(dtype=wp.vec3),
+    quads: wp.array(dtype=wp.vec4i),
+    planes: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    size: float,
+    positions: wp.array(dtype=wp.vec3),
+):
+    """positions (n,) = sum_j w_j(points) targets_j."""
+    n = first + wp.tid()
+    positions[n] = quad_mean_value_position(points[n], vertices, quads, planes, targets, size)
+
+
+@wp.func
+def add_quad_corners(weights: wp.array2d(dtype=wp.float32), n: int, quad: wp.vec4i, corner_weights: wp.vec4):
+    """Add to row n, which one item owns, at the corners of a patch."""
+    for k in range(4):
+        weights[n, quad[k]] = weights[n, quad[k]] + corner_weights[k]
+
+
+@wp.kernel
+def weigh_quad_mean_value(
+    first: int,
+    points: wp.array(dtype=wp.vec3),
+    vertices: wp.array(dtype=wp.vec3),
+    quads: wp.array(dtype=wp.vec4i),
+    size: float,
+    weights: wp.array2d(dtype=wp.float32),
+):
+    """weights (n, v): normalised mean value coordinates, whatever the rows held before."""
+    n = first + wp.tid()
+    x = points[n]
+    total = _ZERO
+    clear_row(weights, n)
+    f = int(0)
+    in_double = bool(False)  # for all patches, where what float32 finds cancels
+    while f < quads.shape[0]:
+        quad = quads[f]
+        a = vertices[quad[0]] - x
+        b = vertices[quad[1]] - x
+        c = vertices[quad[2]] - x
+        d = vertices[quad[3]] - x
+        planes = quad_planes(a, b, c, d, size)
+        null = null_vector(planes, a)
+        found = NearQuad()
+        if in_double or is_for_double(planes, null, a, b, c, d):
+            found = quad_weights_in_double(x, vertices, quad, size, wp.where(in_double, NEAR_OUTSIDE, NEAR))
+        else:
+            found.weights = wp.vec4d(far_quad_weights(a, b, c, d, null))
+        w = found.weights
+        f += 1
+        if found.touching == 1:
+            clear_row(weights, n)
+            total = _ONE
+            in_double = True
+            f = quads.shape[0]
+        else:
+            total += w[0] + w[1] + w[2] + w[3]
+        add_quad_corners(weights, n, quad, wp.vec4(w))
+        if f == quads.shape[0] and not in_double and has_cancelled(float(total), size):
+            clear_row(weights, n)
+            total = _ZERO
+            in_double = True
+            f = 0
+    scale = wp.where(total == _ZERO, 0.0, float(_ONE / total))
+    for j in range(weights.shape[1]):
+        weights[n, j] = weights[n, j] * scale
