@@ -17,16 +17,18 @@
 # On the patch w tends to its bilinear coordinates: points within SNAP of the size take those. A triangle is a quad that
 # names its last corner twice. One unit for points (n,), vertices, targets (v,) and size; near the origin (float32).
 
+from typing import Any
+
 import warp as wp
 
 from ..core.gradients import forward_only_in
 from ..core.loads import vec3_entry, vec4_entry
 from ..mesh.fans import INFINITE, PLANE_BAND, SLIVER
-from .mean_value import FLAT, SNAP, clear_row, face_edge, has_cancelled
+from .mean_value import FLAT, SNAP, FaceEdge, clear_row, face_edge, has_cancelled
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
 
-forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.array2d(dtype=wp.float32),))
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.vec2d, wp.vec3d), (wp.float64, wp.vec3d))
 
 #: Patches whose middle is farther than this, in distances from there to their farthest corner, take 3 x 3 nodes.
 FAR = wp.constant(2.8)
@@ -34,7 +36,7 @@ NEAR = wp.constant(2.0)
 NEAR_OUTSIDE = wp.constant(3.0)
 
 #: Longest panel in s, whose poles lie pi / 2 or, in sheared patches, less off the real axis; and where integrands end.
-PANEL = wp.constant(0.9)
+PANEL = wp.constant(1.0)
 END = wp.constant(8.0)
 
 #: Nearest points are sought until steps are shorter than the root of this share of their distance.
@@ -113,7 +115,7 @@ def nearest_bilinear(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, s: wp.vec3d):
         nearest = wp.length_sq(moved)
         step = wp.where(wp.length_sq(moved - at) <= ENOUGH * nearest, 12, step + 1)
         best = wp.vec2d(u, v)
-    return best
+    return forward_only(best, p)
 
 
 @wp.struct
@@ -150,17 +152,22 @@ def sinh_panels(center: wp.float64, scale: wp.float64, longest: float):
     return panels
 
 
+@wp.struct
+class PatchLine:
+    """The line of one v on a patch: r, T and sum n b are what they are at its start, and u times a slope more."""
+
+    start: wp.vec3d
+    along: wp.vec3d
+    t: wp.vec2d
+    g: wp.vec2d
+
+
 @wp.func
-def node_integrand(
-    power: wp.float64, center: wp.float64, scale: wp.float64, at: wp.vec3d, along: wp.vec3d, t: wp.vec2d, g: wp.vec2d
-):
-    """Integrand of G times du / ds at s = log(power), on the line at + u along; T and sum n b are t, g at its ends."""
-    inverse = _ONE / power
+def node_integrand(line: PatchLine, center: wp.float64, scale: wp.float64, power: wp.float64, inverse: wp.float64):
+    """Integrand of G times 2 du / ds / scale at s = log(power)."""
     u = center + scale * (_HALF * (power - inverse))
-    r = at + u * along
-    squared = wp.length_sq(r)
-    values = (t[0] + u * t[1]) * (g[0] + u * g[1])
-    return values * (power + inverse) / (squared * squared)
+    squared = wp.length_sq(line.start + u * line.along)
+    return (line.t[0] + u * line.t[1]) * (line.g[0] + u * line.g[1]) * (power + inverse) / (squared * squared)
 
 
 @wp.func
@@ -170,37 +177,45 @@ def null_integral(
     """G of the patch p, q, r, s with null vector n. center, scale: u0, v0 and a of either axis."""
     along = sinh_panels(center[0], scale[0], longest)
     across = sinh_panels(center[1], scale[1], longest)
+    inner_back = _ONE / along.inner
+    outer_back = _ONE / along.outer
+    step_back = _ONE / along.step
     total = _ZERO
     k = int(0)
     middle = across.first
     while k < 4 * across.count:
         off = wp.where(k % 4 < 2, across.inner, across.outer)
-        power = wp.where(k % 2 == 0, middle * off, middle / off)
+        power = middle * wp.where(k % 2 == 0, off, _ONE / off)
         inverse = _ONE / power
         v = center[1] + scale[1] * (_HALF * (power - inverse))
-        at = p + v * (s - p)
-        line = q + v * (r - q) - at
-        t = wp.vec2d(n[2] * (_ONE - v) - n[1] * v, (n[0] + n[1]) * v - (n[2] + n[3]) * (_ONE - v))
-        g = wp.vec2d(n[0] * (_ONE - v) + n[3] * v, (n[1] - n[0]) * (_ONE - v) + (n[2] - n[3]) * v)
+        w = _ONE - v
+        start = w * p + v * s
+        t = n[2] * w - n[1] * v
+        g = n[0] * w + n[3] * v
+        line = PatchLine(
+            start, w * q + v * r - start, wp.vec2d(t, n[0] * v - n[3] * w - t), wp.vec2d(g, n[1] * w + n[2] * v - g)
+        )
         row = _ZERO
         j = int(0)
         here = along.first
+        back = _ONE / here
         while j < along.count:
             row += _INNER_WEIGHT * (
-                node_integrand(here * along.inner, center[0], scale[0], at, line, t, g)
-                + node_integrand(here / along.inner, center[0], scale[0], at, line, t, g)
+                node_integrand(line, center[0], scale[0], here * along.inner, back * inner_back)
+                + node_integrand(line, center[0], scale[0], here * inner_back, back * along.inner)
             )
             row += _OUTER_WEIGHT * (
-                node_integrand(here * along.outer, center[0], scale[0], at, line, t, g)
-                + node_integrand(here / along.outer, center[0], scale[0], at, line, t, g)
+                node_integrand(line, center[0], scale[0], here * along.outer, back * outer_back)
+                + node_integrand(line, center[0], scale[0], here * outer_back, back * along.outer)
             )
             here = here * along.step
+            back = back * step_back
             j += 1
         total += row * wp.where(k % 4 < 2, _INNER_WEIGHT, _OUTER_WEIGHT) * (power + inverse)
         k += 1
         if k % 4 == 0:
             middle = middle * across.step
-    return total * (_QUARTER * scale[0] * scale[1] * along.half * across.half)
+    return forward_only(total * (_QUARTER * scale[0] * scale[1] * along.half * across.half), p)
 
 
 @wp.func
@@ -210,24 +225,21 @@ def mean_of_edge(cross: wp.vec3d, cosine: wp.float64):
 
 
 @wp.func
-def on_the_corners(
-    n: wp.vec4d,
-    g: wp.float64,
-    d01: wp.float64,
-    d12: wp.float64,
-    d23: wp.float64,
-    d30: wp.float64,
-    d02: wp.float64,
-    d13: wp.float64,
-):
-    """w = w_m + n g / |n|^2 with d_ij = m . (r_i x r_j)."""
-    w = wp.vec4d(
-        n[1] * d23 - n[2] * d13 + n[3] * d12,
-        -n[0] * d23 - n[2] * d30 - n[3] * d02,
-        n[0] * d13 + n[1] * d30 + n[3] * d01,
-        n[1] * d02 - n[0] * d12 - n[2] * d01,
+def on_the_corners(n: Any, g: Any, m: Any, c01: Any, c12: Any, c23: Any, c30: Any, c02: Any, c13: Any):
+    """w = w_m + n g / |n|^2, with c_ij = r_i x r_j."""
+    d01 = wp.dot(m, c01)
+    d12 = wp.dot(m, c12)
+    d23 = wp.dot(m, c23)
+    d30 = wp.dot(m, c30)
+    d02 = wp.dot(m, c02)
+    d13 = wp.dot(m, c13)
+    w = type(n)(
+        n[2] * d13 - n[1] * d23 - n[3] * d12,
+        n[0] * d23 + n[2] * d30 + n[3] * d02,
+        -n[0] * d13 - n[1] * d30 - n[3] * d01,
+        n[0] * d12 - n[1] * d02 + n[2] * d01,
     )
-    return (g * n - w) * (_ONE / wp.dot(n, n))
+    return (w + g * n) / wp.dot(n, n)
 
 
 @wp.func(inline=False)
@@ -284,17 +296,22 @@ def quad_weights_in_double(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), quad: 
     g = _ZERO
     if not is_triangle:  # whose last two corners share what they weigh
         g = null_integral(p, q, r, s, n, center, scale, longest)
-    d02 = wp.dot(mean, wp.cross(p, r - p))
-    d13 = wp.dot(mean, wp.cross(q, s - q))
-    result.weights = on_the_corners(
-        n, g, wp.dot(mean, c01), wp.dot(mean, c12), wp.dot(mean, c23), wp.dot(mean, c30), d02, d13
-    )
+    c02 = wp.cross(p, r - p)
+    c13 = wp.cross(q, s - q)
+    result.weights = on_the_corners(n, g, mean, c01, c12, c23, c30, c02, c13)
     return result
 
 
 @wp.func
-def row_of_three(low: wp.vec3, high: wp.vec3, t_low: float, t_high: float, g_low: float, g_high: float):
-    """18 times the integral of g T / |r|^4 over a line by three nodes."""
+def line_of_three(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3, n: wp.vec4, v: float):
+    """18 times the integral of g T / |r|^4 over the line of one v, by three nodes."""
+    w = 1.0 - v
+    low = w * a + v * d
+    high = w * b + v * c
+    t_low = w * n[2] - v * n[1]
+    t_high = v * n[0] - w * n[3]
+    g_low = w * n[0] + v * n[3]
+    g_high = w * n[1] + v * n[2]
     middle = 0.5 * (low + high)
     off = (0.5 * _OFF) * (high - low)
     t = 0.5 * (t_low + t_high)
@@ -309,58 +326,16 @@ def row_of_three(low: wp.vec3, high: wp.vec3, t_low: float, t_high: float, g_low
 
 
 @wp.func
-def far_quad_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3, n: wp.vec4):
+def far_quad_weights(
+    a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3, n: wp.vec4, ab: FaceEdge, bc: FaceEdge, cd: FaceEdge, da: FaceEdge
+):
     """Corner weights of a patch clear of the origin and of its plane, with null vector n."""
-    ab = face_edge(a, b)
-    bc = face_edge(b, c)
-    cd = face_edge(c, d)
-    da = face_edge(d, a)
+    outer = line_of_three(a, b, c, d, n, 0.5 - 0.5 * _OFF) + line_of_three(a, b, c, d, n, 0.5 + 0.5 * _OFF)
+    g = (5.0 * outer + 8.0 * line_of_three(a, b, c, d, n, 0.5)) * (1.0 / 324.0)
     mean = 0.5 * (ab.mean + bc.mean + cd.mean + da.mean)
-    low = 0.5 * (1.0 - _OFF)
-    high = 1.0 - low
-    g = (
-        5.0
-        * row_of_three(
-            high * a + low * d,
-            high * b + low * c,
-            high * n[2] - low * n[1],
-            low * n[0] - high * n[3],
-            high * n[0] + low * n[3],
-            high * n[1] + low * n[2],
-        )
-        + 5.0
-        * row_of_three(
-            low * a + high * d,
-            low * b + high * c,
-            low * n[2] - high * n[1],
-            high * n[0] - low * n[3],
-            low * n[0] + high * n[3],
-            low * n[1] + high * n[2],
-        )
-        + 8.0
-        * row_of_three(
-            0.5 * (a + d),
-            0.5 * (b + c),
-            0.5 * (n[2] - n[1]),
-            0.5 * (n[0] - n[3]),
-            0.5 * (n[0] + n[3]),
-            0.5 * (n[1] + n[2]),
-        )
-    )
-    g = g * (1.0 / 324.0)
-    d01 = wp.dot(mean, ab.cross)
-    d12 = wp.dot(mean, bc.cross)
-    d23 = wp.dot(mean, cd.cross)
-    d30 = wp.dot(mean, da.cross)
-    d02 = wp.dot(mean, wp.cross(a, c - a))
-    d13 = wp.dot(mean, wp.cross(b, d - b))
-    w = wp.vec4(
-        n[1] * d23 - n[2] * d13 + n[3] * d12,
-        -n[0] * d23 - n[2] * d30 - n[3] * d02,
-        n[0] * d13 + n[1] * d30 + n[3] * d01,
-        n[1] * d02 - n[0] * d12 - n[2] * d01,
-    )
-    return (g * n - w) * (1.0 / wp.dot(n, n))
+    c02 = wp.cross(a, c - a)
+    c13 = wp.cross(b, d - b)
+    return on_the_corners(n, g, mean, ab.cross, bc.cross, cd.cross, da.cross, c02, c13)
 
 
 @wp.struct
@@ -462,6 +437,8 @@ def quad_mean_value_position(
     position = wp.vec3(0.0, 0.0, 0.0)
     waiting = int(-1)  # faces for float64, done last: the points of a warp rarely meet theirs at the same face
     next_waiting = int(-1)
+    last = wp.vec4i(-1, -1, -1, -1)
+    shared = FaceEdge()  # from c to d of the last quad
     f = int(0)
     while f < quads.shape[0] or waiting >= 0:
         while f < quads.shape[0] and next_waiting < 0:
@@ -478,7 +455,15 @@ def quad_mean_value_position(
                 next_waiting = waiting
                 waiting = f
             else:
-                w = far_quad_weights(a, b, c, d, n)
+                ab = FaceEdge()
+                if quad[0] == last[3] and quad[1] == last[2]:  # as in strips (warpcage/coordinates/quad_mean_value.py)
+                    ab.cross = -shared.cross
+                    ab.mean = -shared.mean
+                else:
+                    ab = face_edge(a, b)
+                shared = face_edge(c, d)
+                last = quad
+                w = far_quad_weights(a, b, c, d, n, ab, face_edge(b, c), shared, face_edge(d, a))
                 total += w[0] + w[1] + w[2] + w[3]
                 position += w[0] * vec3_entry(targets, quad[0])
                 position += w[1] * vec3_entry(targets, quad[1])
@@ -498,9 +483,10 @@ def quad_mean_value_position(
                 return forward_only(along, x)
             total += w[0] + w[1] + w[2] + w[3]
             position += along
+    position = position * wp.where(total == 0.0, 0.0, 1.0 / total)
     if has_cancelled(total, size):
-        return quad_position_in_double(x, vertices, quads, targets, size)
-    return forward_only(position * wp.where(total == 0.0, 0.0, 1.0 / total), x)
+        position = quad_position_in_double(x, vertices, quads, targets, size)
+    return forward_only(position, x)
 
 
 @wp.kernel(launch_bounds=(128, 5))
@@ -554,7 +540,9 @@ def weigh_quad_mean_value(
         if in_double or is_for_double(planes, null, a, b, c, d):
             found = quad_weights_in_double(x, vertices, quad, size, wp.where(in_double, NEAR_OUTSIDE, NEAR))
         else:
-            found.weights = wp.vec4d(far_quad_weights(a, b, c, d, null))
+            found.weights = wp.vec4d(
+                far_quad_weights(a, b, c, d, null, face_edge(a, b), face_edge(b, c), face_edge(c, d), face_edge(d, a))
+            )
         w = found.weights
         f += 1
         if found.touching == 1:
