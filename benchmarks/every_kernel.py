@@ -24,9 +24,11 @@ from machine_code import kernel_modules
 
 import warpcage
 from warpcage import FieldOptimizer, PositionMap
+from warpcage.coordinates.quad_mean_value import QuadFaces, quad_mean_value_weights
 from warpcage.core import COORDINATES, launch, limit_threads
 from warpcage.fitting.splats import PictureLoss
 from warpcage.kernels.coordinates.green import map_green
+from warpcage.kernels.coordinates.quad_mean_value import map_quad_mean_value
 from warpcage.lattice import HarmonicSolver, PoseGraph
 from warpcage.mesh import prepared_fans
 from warpcage.splats import SplatDensity
@@ -161,6 +163,11 @@ def coordinates(device) -> None:
     normals = wp.zeros(len(faces), dtype=wp.vec3, device=device)
     inputs = [points, vertices, faces, prepared_fans(vertices, faces, 1.0), vertices, normals, 1.0]
     launch(map_green, len(points), inputs, [wp.empty_like(points)], device=device)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    cube = wp.array(np.argwhere(np.ones((2, 2, 2))) * 2.0 - 1.0, dtype=wp.vec3, device=device)
+    inputs = [points, cube, *QuadFaces(8, quads).prepared(cube, 2.0), cube, 2.0]
+    launch(map_quad_mean_value, len(points), inputs, [wp.empty_like(points)], device=device)
+    quad_mean_value_weights(POINTS, cube.numpy(), quads, device)
     warpcage.mean_value_coordinates(points, CAGE)
     warpcage.green_coordinates(points, CAGE)
     warpcage.mean_value_coordinates(points, QUADS)

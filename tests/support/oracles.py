@@ -274,6 +274,70 @@ def _triangle_rule():
     return np.stack([1 - s, s * (1 - t), s * t], axis=1), (w[:, None] * w[None]).reshape(-1) * s
 
 
+def quad_cage(cells: int, bend: float, seed: int = 0):
+    """A cube of side one of so many quads along each edge, whose vertices are off by about `bend` of a quad's side."""
+    numbers, faces = {}, []
+    for axis, side in ((axis, side) for axis in range(3) for side in (0, cells)):
+        for i, j in np.ndindex(cells, cells):
+            corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+            places = [tuple(np.roll((side, *corner), axis).tolist()) for corner in corners]
+            face = [numbers.setdefault(place, len(numbers)) for place in places]
+            faces.append(face if side else face[::-1])
+    vertices = np.array(list(numbers)) / cells - 0.5
+    return vertices + np.random.default_rng(seed).normal(size=vertices.shape) * (bend / cells), np.array(faces)
+
+
+def bilinear(u, v):
+    """Weights of the corners (0, 0), (1, 0), (1, 1), (0, 1): (..., 4)."""
+    return np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
+
+
+def on_quads(vertices, quads, count, seed=0):
+    """Points on bilinear patches, their unit normals, and their weights: (count, 3), (count, 3), (count, v)."""
+    random = np.random.default_rng(seed)
+    quads = np.asarray(quads)[random.integers(len(quads), size=count)]
+    u, v = random.uniform(size=(2, count))
+    shares, corners = bilinear(u, v), vertices[quads]
+    by_u = (1 - v)[:, None] * (corners[:, 1] - corners[:, 0]) + v[:, None] * (corners[:, 2] - corners[:, 3])
+    by_v = (1 - u)[:, None] * (corners[:, 3] - corners[:, 0]) + u[:, None] * (corners[:, 2] - corners[:, 1])
+    weights = np.zeros((count, len(vertices)))
+    weights[np.arange(count)[:, None], quads] = shares
+    normals = np.cross(by_u, by_v)
+    return (shares[:, :, None] * corners).sum(axis=1), normals / np.linalg.norm(normals, axis=1, keepdims=True), weights
+
+
+def quad_mean_value_weights(points, vertices, quads, order=12):
+    """Mean value coordinates (n, v) by definition: integrals of the bilinear basis over distance over solid angles of
+    bilinear patches, by Gauss-Legendre rules on squares that are quartered until they are clear of the point. float64;
+    points on no patch."""
+    nodes, shares = np.polynomial.legendre.leggauss(order)
+    nodes, shares = (nodes + 1) / 2, np.outer(shares, shares) / 4
+    weights = np.zeros((len(points), len(vertices)))
+    for quad in quads:
+        seen = vertices[quad] - np.asarray(points, np.float64)[:, None]
+        rows, squares = np.arange(len(points)), np.tile([0.0, 0.0, 1.0], (len(points), 1))  # u, v of a corner, and side
+        while len(rows):
+            ends = squares[:, None, :2] + squares[:, None, 2:] * [[0, 0], [1, 0], [1, 1], [0, 1]]
+            corners = np.einsum("tci,tij->tcj", bilinear(ends[..., 0], ends[..., 1]), seen[rows])
+            middles = corners.mean(axis=1)
+            radii = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+            clear = np.linalg.norm(middles, axis=1) > 2.5 * radii
+            u, v = (squares[clear, k, None, None] + squares[clear, 2, None, None] * nodes for k in (0, 1))
+            u, v = np.broadcast_arrays(np.swapaxes(u, 1, 2), v)
+            a, b, c, d = (seen[rows[clear], k][:, None, None] for k in range(4))
+            basis, one, two = bilinear(u, v), u[..., None], v[..., None]
+            x = sum(basis[..., k, None] * corner for k, corner in enumerate((a, b, c, d)))
+            normal = np.cross((1 - two) * (b - a) + two * (c - d), (1 - one) * (d - a) + one * (c - b))
+            value = (x * normal).sum(axis=-1) / (x**2).sum(axis=-1) ** 2 * shares * squares[clear, 2, None, None] ** 2
+            for k, corner in enumerate(quad):
+                np.add.at(weights, (rows[clear], corner), (value * basis[..., k]).sum(axis=(1, 2)))
+            halves = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * 0.5
+            parts = squares[~clear, None, :2] + squares[~clear, None, 2:] * halves
+            side = np.broadcast_to(squares[~clear, None, 2:] / 2, (*parts.shape[:2], 1))
+            rows, squares = np.repeat(rows[~clear], 4), np.concatenate([parts, side], axis=2).reshape(-1, 3)
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
 def green_weights(points, vertices, faces):
     """Pseudo-code of Lipman, Levin and Cohen-Or 2008, appendix (points inside, on no plane): phi (n, v), psi (n, f)."""
     points, vertices = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
