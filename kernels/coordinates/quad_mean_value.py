@@ -340,11 +340,11 @@ def far_quad_weights(
 
 @wp.struct
 class QuadPlanes:
-    """What all points have in common of a patch with corners a, b, c, d."""
+    """What all points have in common of a patch: the normals of triangles of all corners but one, and limits."""
 
-    abc: wp.vec4  # (b - a) x (c - a); the patch is for float64 where |n|^2, seen from the point, is no more than this
-    acd: wp.vec4  # (c - a) x (d - a); ... where its middle is nearer than the root of this
-    abd: wp.vec4  # (b - a) x (d - a); det(b - a, c - a, d - a)
+    normal_3: wp.vec4  # (b - a) x (c - a); the patch is for float64 where |n|^2 is no more than this
+    normal_1: wp.vec4  # (c - a) x (d - a); or where its middle is nearer than the root of this
+    normal_2: wp.vec4  # (b - a) x (d - a); det(b - a, c - a, d - a)
 
 
 @wp.func
@@ -352,10 +352,12 @@ def quad_planes(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3, size: float):
     ab = b - a
     ac = c - a
     ad = d - a
-    abc = wp.cross(ab, ac)
-    acd = wp.cross(ac, ad)
-    abd = wp.cross(ab, ad)
-    squared = wp.length_sq(abc) + wp.length_sq(acd) + wp.length_sq(abd) + wp.length_sq(wp.cross(c - b, d - b))
+    normal_3 = wp.cross(ab, ac)
+    normal_1 = wp.cross(ac, ad)
+    normal_2 = wp.cross(ab, ad)
+    squared = (
+        wp.length_sq(normal_3) + wp.length_sq(normal_1) + wp.length_sq(normal_2) + wp.length_sq(wp.cross(c - b, d - b))
+    )
     edges = wp.length_sq(ab) + wp.length_sq(ac) + wp.length_sq(ad)
     band = PLANE_BAND * size
     limit = wp.where(squared <= SLIVER * edges * edges, INFINITE, band * band * squared)
@@ -365,23 +367,23 @@ def quad_planes(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3, size: float):
         wp.max(wp.length_sq(ac - middle), wp.length_sq(ad - middle)),
     )
     planes = QuadPlanes()
-    planes.abc = wp.vec4(abc[0], abc[1], abc[2], limit)
-    planes.acd = wp.vec4(acd[0], acd[1], acd[2], FAR * FAR * radius)
-    planes.abd = wp.vec4(abd[0], abd[1], abd[2], wp.dot(abc, ad))
+    planes.normal_3 = wp.vec4(normal_3[0], normal_3[1], normal_3[2], limit)
+    planes.normal_1 = wp.vec4(normal_1[0], normal_1[1], normal_1[2], FAR * FAR * radius)
+    planes.normal_2 = wp.vec4(normal_2[0], normal_2[1], normal_2[2], wp.dot(normal_3, ad))
     return planes
 
 
 @wp.func
 def null_vector(planes: QuadPlanes, a: wp.vec3):
-    n1 = -(planes.acd[0] * a[0] + planes.acd[1] * a[1] + planes.acd[2] * a[2])
-    n2 = planes.abd[0] * a[0] + planes.abd[1] * a[1] + planes.abd[2] * a[2]
-    n3 = -(planes.abc[0] * a[0] + planes.abc[1] * a[1] + planes.abc[2] * a[2])
-    return wp.vec4(planes.abd[3] - n1 - n2 - n3, n1, n2, n3)
+    n1 = -(planes.normal_1[0] * a[0] + planes.normal_1[1] * a[1] + planes.normal_1[2] * a[2])
+    n2 = planes.normal_2[0] * a[0] + planes.normal_2[1] * a[1] + planes.normal_2[2] * a[2]
+    n3 = -(planes.normal_3[0] * a[0] + planes.normal_3[1] * a[1] + planes.normal_3[2] * a[2])
+    return wp.vec4(planes.normal_2[3] - n1 - n2 - n3, n1, n2, n3)
 
 
 @wp.func
 def is_for_double(planes: QuadPlanes, n: wp.vec4, a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
-    return wp.dot(n, n) <= planes.abc[3] or wp.length_sq(a + b + c + d) < 16.0 * planes.acd[3]
+    return wp.dot(n, n) <= planes.normal_3[3] or wp.length_sq(a + b + c + d) < 16.0 * planes.normal_1[3]
 
 
 @wp.kernel
@@ -396,9 +398,9 @@ def prepare_quads(
     f = first + wp.tid()
     quad = quads[f]
     of_quad = quad_planes(vertices[quad[0]], vertices[quad[1]], vertices[quad[2]], vertices[quad[3]], size)
-    planes[3 * f] = of_quad.abc
-    planes[3 * f + 1] = of_quad.acd
-    planes[3 * f + 2] = of_quad.abd
+    planes[3 * f] = of_quad.normal_3
+    planes[3 * f + 1] = of_quad.normal_1
+    planes[3 * f + 2] = of_quad.normal_2
 
 
 @wp.func(inline=False)
