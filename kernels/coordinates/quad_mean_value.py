@@ -119,6 +119,42 @@ def nearest_bilinear(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, s: wp.vec3d):
 
 
 @wp.struct
+class PatchRule:
+    """How G of a patch is integrated as seen from a point."""
+
+    center: wp.vec2d  # u0, v0: of the nearest point, if the patch is near
+    scale: wp.vec2d  # a of either axis
+    longest: float  # of panels
+    distance: wp.float64  # of the nearest point, or of the middle
+
+
+@wp.func
+def patch_rule(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, s: wp.vec3d, near: float):
+    rule = PatchRule()
+    middle = _QUARTER * (p + q + r + s)
+    radius = wp.max(
+        wp.max(wp.length_sq(p - middle), wp.length_sq(q - middle)),
+        wp.max(wp.length_sq(r - middle), wp.length_sq(s - middle)),
+    )
+    rule.longest = float(PANEL)
+    rule.center = wp.vec2d(_HALF, _HALF)
+    rule.scale = wp.vec2d(wp.float64(4.0), wp.float64(4.0))
+    rule.distance = wp.length(middle)
+    if wp.length_sq(middle) < wp.float64(near * near) * radius:
+        foot = nearest_bilinear(p, q, r, s)
+        distance = wp.length(mixed(bilinear_basis(foot[0], foot[1]), p, q, r, s))
+        by_u = (_ONE - foot[1]) * (q - p) + foot[1] * (r - s)
+        by_v = (_ONE - foot[0]) * (s - p) + foot[0] * (r - q)
+        length_u = wp.length(by_u) + wp.float64(0.1) * distance
+        length_v = wp.length(by_v) + wp.float64(0.1) * distance
+        rule.center = foot
+        rule.scale = wp.vec2d(distance / length_u, distance / length_v)
+        rule.longest = PANEL * wp.max(float(wp.length(wp.cross(by_u, by_v)) / (length_u * length_v)), 0.2)
+        rule.distance = distance
+    return rule
+
+
+@wp.struct
 class Panels:
     """Of an integral over [0, 1] in s, with u = u0 + a sinh(s): of one length, each with four nodes."""
 
@@ -171,12 +207,12 @@ def node_integrand(line: PatchLine, center: wp.float64, scale: wp.float64, power
 
 
 @wp.func
-def null_integral(
-    p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, s: wp.vec3d, n: wp.vec4d, center: wp.vec2d, scale: wp.vec2d, longest: float
-):
-    """G of the patch p, q, r, s with null vector n. center, scale: u0, v0 and a of either axis."""
-    along = sinh_panels(center[0], scale[0], longest)
-    across = sinh_panels(center[1], scale[1], longest)
+def null_integral(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, s: wp.vec3d, n: wp.vec4d, rule: PatchRule):
+    """G of the patch p, q, r, s with null vector n."""
+    center = rule.center
+    scale = rule.scale
+    along = sinh_panels(center[0], scale[0], rule.longest)
+    across = sinh_panels(center[1], scale[1], rule.longest)
     inner_back = _ONE / along.inner
     outer_back = _ONE / along.outer
     step_back = _ONE / along.step
@@ -243,37 +279,8 @@ def on_the_corners(n: Any, g: Any, m: Any, c01: Any, c12: Any, c23: Any, c30: An
 
 
 @wp.func(inline=False)
-def quad_weights_in_double(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), quad: wp.vec4i, size: float, near: float):
-    """Corner weights of a patch as seen from x, however near, in float64."""
-    p = wp.vec3d(vertices[quad[0]]) - wp.vec3d(x)
-    q = wp.vec3d(vertices[quad[1]]) - wp.vec3d(x)
-    r = wp.vec3d(vertices[quad[2]]) - wp.vec3d(x)
-    s = wp.vec3d(vertices[quad[3]]) - wp.vec3d(x)
-    unit = wp.float64(size)
-    result = NearQuad()
-    is_triangle = s == r
-    middle = _QUARTER * (p + q + r + s)
-    radius = wp.max(
-        wp.max(wp.length_sq(p - middle), wp.length_sq(q - middle)),
-        wp.max(wp.length_sq(r - middle), wp.length_sq(s - middle)),
-    )
-    longest = float(PANEL)
-    center = wp.vec2d(_HALF, _HALF)
-    scale = wp.vec2d(wp.float64(4.0), wp.float64(4.0))
-    if wp.length_sq(middle) < wp.float64(near * near) * radius:
-        center = nearest_bilinear(p, q, r, s)
-        foot = bilinear_basis(center[0], center[1])
-        distance = wp.length(mixed(foot, p, q, r, s))
-        if distance < SNAP * unit:
-            result.weights = foot
-            result.touching = 1
-            return result
-        by_u = (_ONE - center[1]) * (q - p) + center[1] * (r - s)
-        by_v = (_ONE - center[0]) * (s - p) + center[0] * (r - q)
-        length_u = wp.length(by_u) + wp.float64(0.1) * distance
-        length_v = wp.length(by_v) + wp.float64(0.1) * distance
-        scale = wp.vec2d(distance / length_u, distance / length_v)
-        longest = PANEL * wp.max(float(wp.length(wp.cross(by_u, by_v)) / (length_u * length_v)), 0.2)
+def weights_by_rule(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, s: wp.vec3d, rule: PatchRule, size: wp.float64):
+    """Weights of the corners of a patch that the point does not lie on."""
     c01 = wp.cross(p, q - p)
     c12 = wp.cross(q, r - q)
     c23 = wp.cross(r, s - r)
@@ -284,9 +291,9 @@ def quad_weights_in_double(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), quad: 
     normal_0 = wp.cross(r - q, s - q)
     n = wp.vec4d(wp.dot(normal_0, q), -wp.dot(normal_1, p), wp.dot(normal_2, p), -wp.dot(normal_3, p))
     areas = wp.length_sq(normal_0) + wp.length_sq(normal_1) + wp.length_sq(normal_2) + wp.length_sq(normal_3)
-    flat = FLAT * unit
+    flat = FLAT * size
     if wp.dot(n, n) <= flat * flat * areas:
-        return result
+        return wp.vec4d()
     mean = _HALF * (
         mean_of_edge(c01, wp.dot(p, q))
         + mean_of_edge(c12, wp.dot(q, r))
@@ -294,11 +301,27 @@ def quad_weights_in_double(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), quad: 
         + mean_of_edge(c30, wp.dot(s, p))
     )
     g = _ZERO
-    if not is_triangle:  # whose last two corners share what they weigh
-        g = null_integral(p, q, r, s, n, center, scale, longest)
+    if wp.length_sq(s - r) > _ZERO:  # else a triangle, whose last two corners share what they weigh
+        g = null_integral(p, q, r, s, n, rule)
     c02 = wp.cross(p, r - p)
     c13 = wp.cross(q, s - q)
-    result.weights = on_the_corners(n, g, mean, c01, c12, c23, c30, c02, c13)
+    return on_the_corners(n, g, mean, c01, c12, c23, c30, c02, c13)
+
+
+@wp.func(inline=False)
+def quad_weights_in_double(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), quad: wp.vec4i, size: float, near: float):
+    """Corner weights of a patch as seen from x, however near, in float64."""
+    p = wp.vec3d(vertices[quad[0]]) - wp.vec3d(x)
+    q = wp.vec3d(vertices[quad[1]]) - wp.vec3d(x)
+    r = wp.vec3d(vertices[quad[2]]) - wp.vec3d(x)
+    s = wp.vec3d(vertices[quad[3]]) - wp.vec3d(x)
+    rule = patch_rule(p, q, r, s, near)
+    result = NearQuad()
+    if rule.distance < SNAP * wp.float64(size):
+        result.weights = bilinear_basis(rule.center[0], rule.center[1])
+        result.touching = 1
+    else:
+        result.weights = weights_by_rule(p, q, r, s, rule, wp.float64(size))
     return result
 
 

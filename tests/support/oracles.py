@@ -313,7 +313,7 @@ def quad_mean_value_weights(points, vertices, quads, order=12):
     nodes, shares = np.polynomial.legendre.leggauss(order)
     nodes, shares = (nodes + 1) / 2, np.outer(shares, shares) / 4
     weights = np.zeros((len(points), len(vertices)))
-    for quad in quads:
+    for quad in np.asarray(quads):
         seen = vertices[quad] - np.asarray(points, np.float64)[:, None]
         rows, squares = np.arange(len(points)), np.tile([0.0, 0.0, 1.0], (len(points), 1))  # u, v of a corner, and side
         while len(rows):
