@@ -31,8 +31,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.vec2d, wp.vec3d), (wp.float64, wp.vec3d))
 
 #: Patches whose middle is farther than this, in distances from there to their farthest corner, take 3 x 3 nodes.
-FAR = wp.constant(2.8)
-NEAR = wp.constant(2.0)
+FAR = wp.constant(2.7)
+NEAR = wp.constant(1.9)
 NEAR_OUTSIDE = wp.constant(3.0)
 
 #: Longest panel in s, whose poles lie pi / 2 or, in sheared patches, less off the real axis; and where integrands end.
@@ -278,7 +278,7 @@ def on_the_corners(n: Any, g: Any, m: Any, c01: Any, c12: Any, c23: Any, c30: An
     return (w + g * n) / wp.dot(n, n)
 
 
-@wp.func(inline=False)
+@wp.func
 def weights_by_rule(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, s: wp.vec3d, rule: PatchRule, size: wp.float64):
     """Weights of the corners of a patch that the point does not lie on."""
     c01 = wp.cross(p, q - p)
