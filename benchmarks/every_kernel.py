@@ -163,11 +163,6 @@ def coordinates(device) -> None:
     normals = wp.zeros(len(faces), dtype=wp.vec3, device=device)
     inputs = [points, vertices, faces, prepared_fans(vertices, faces, 1.0), vertices, normals, 1.0]
     launch(map_green, len(points), inputs, [wp.empty_like(points)], device=device)
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    cube = wp.array(np.argwhere(np.ones((2, 2, 2))) * 2.0 - 1.0, dtype=wp.vec3, device=device)
-    inputs = [points, cube, *QuadFaces(8, quads).prepared(cube, 2.0), cube, 2.0]
-    launch(map_quad_mean_value, len(points), inputs, [wp.empty_like(points)], device=device)
-    quad_mean_value_weights(POINTS, cube.numpy(), quads, device)
     warpcage.mean_value_coordinates(points, CAGE)
     warpcage.green_coordinates(points, CAGE)
     warpcage.mean_value_coordinates(points, QUADS)
@@ -183,6 +178,11 @@ def coordinates(device) -> None:
     fine = warpcage.Cage(sphere.vertices, sphere.faces)
     for kind in ("harmonic", "mean_value"):
         PositionMap(fine, coordinates=kind, resolution=12, device=device).pose(fine.twist(50)).pose(fine.bend(60))
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    cube = wp.array(np.argwhere(np.ones((2, 2, 2))) * 2.0 - 1.0, dtype=wp.vec3, device=device)
+    inputs = [points, cube, *QuadFaces(8, quads).prepared(cube, 2.0), cube, 2.0]
+    launch(map_quad_mean_value, len(points), inputs, [wp.empty_like(points)], device=device)
+    quad_mean_value_weights(POINTS, cube.numpy(), quads, device)
 
 
 def slotted(width: float) -> warpcage.Cage:
