@@ -54,6 +54,11 @@ _ONE = wp.constant(wp.float64(1.0))
 _TINY = wp.constant(wp.float64(1.0e-200))
 
 
+#: Patches of a point that wait for float64.
+ROOM = wp.constant(24)
+Queue = wp.types.vector(length=24, dtype=wp.int32)
+
+
 @wp.struct
 class NearQuad:
     weights: wp.vec4d  # of the four corners; bilinear coordinates where the point lies on the patch
@@ -460,13 +465,13 @@ def quad_mean_value_position(
     """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage. planes: see prepare_quads."""
     total = float(0.0)
     position = wp.vec3(0.0, 0.0, 0.0)
-    waiting = int(-1)  # faces for float64, done last: the points of a warp rarely meet theirs at the same face
-    next_waiting = int(-1)
+    queue = Queue()  # patches for float64, done last: the points of a warp rarely meet theirs at the same patch
+    waiting = int(0)
     last = wp.vec4i(-1, -1, -1, -1)
     shared = FaceEdge()  # from c to d of the last quad
     f = int(0)
-    while f < quads.shape[0] or waiting >= 0:
-        while f < quads.shape[0] and next_waiting < 0:
+    while f < quads.shape[0] or waiting > 0:
+        while f < quads.shape[0] and waiting < ROOM:
             quad = quads[f]
             a = vec3_entry(vertices, quad[0]) - x
             b = vec3_entry(vertices, quad[1]) - x
@@ -477,8 +482,8 @@ def quad_mean_value_position(
             )
             n = null_vector(of_quad, a)
             if is_for_double(of_quad, n, a, b, c, d):
-                next_waiting = waiting
-                waiting = f
+                queue[waiting] = f
+                waiting += 1
             else:
                 ab = FaceEdge()
                 if quad[0] == last[3] and quad[1] == last[2]:  # as in strips (warpcage/coordinates/quad_mean_value.py)
@@ -495,10 +500,9 @@ def quad_mean_value_position(
                 position += w[2] * vec3_entry(targets, quad[2])
                 position += w[3] * vec3_entry(targets, quad[3])
             f += 1
-        if waiting >= 0:
-            quad = quads[waiting]
-            waiting = next_waiting
-            next_waiting = -1
+        while waiting > 0:
+            waiting -= 1
+            quad = quads[queue[waiting]]
             near = quad_weights_in_double(x, vertices, quad, size, NEAR)
             w = wp.vec4(near.weights)
             along = (

@@ -174,7 +174,7 @@ def test_scale_and_place_do_not_matter(device):
 # -- Maps
 
 
-@some_cages
+@pytest.mark.parametrize("cells, bend", [(1, 0.2), (2, 0.2), (4, 0.15), (6, 0.0)])
 def test_map_is_the_weighted_sum(cells, bend, device):
     """In another unit than weights, as on lattices."""
     vertices, quads = cage(cells, bend)
@@ -182,6 +182,7 @@ def test_map_is_the_weighted_sum(cells, bend, device):
     points = oracles.single(
         np.concatenate([random.uniform(-0.8, 0.8, (300, 3)), vertices[:8], vertices[quads[:6]].mean(axis=1)])
     )
+    points[:30, 2] = 0.4996  # where all patches of a flat side are for float64
     targets = random.normal(size=vertices.shape)
     near = [wp.array(100 * each, dtype=wp.vec3, device=device) for each in (points, vertices)]
     faces = QuadFaces(len(vertices), quads)
