@@ -99,6 +99,8 @@ class ExactEdit:
     rest_normals: wp.array(dtype=wp.vec3)  # (f,) stretched, for Green coordinates
     faces: wp.array(dtype=wp.vec3i)
     fans: wp.array(dtype=wp.vec4)  # of the deformed cage: see mesh/fans
+    quads: wp.array(dtype=wp.vec4i)  # of cages of quads, for mean value coordinates: what stands in for faces
+    planes: wp.array(dtype=wp.vec4)  # see coordinates/quad_mean_value
     deformed_cells: CellTable
     rest_cells: CellTable  # its `skip` is not used
     walls: Walls  # the map fades to the identity towards them
@@ -106,6 +108,7 @@ class ExactEdit:
     carried: CageMap  # the map on a lattice, where cells carry fragments
     size: float  # longest side of the deformed cage
     is_green: int  # 1: Green, 0: mean value
+    is_of_quads: int  # 1: mean value of `quads`
     tolerance: float
     slack: float
     keeps_source: int

@@ -6,6 +6,7 @@ import warp as wp
 
 from ..coordinates.green import green_position
 from ..coordinates.mean_value import mean_value_position
+from ..coordinates.quad_mean_value import quad_mean_value_position
 from ..core.gradients import forward_only_in
 from ..core.variants import declared_once, variant_module
 from ..lattice.cage_map import cell_sides, map_distance, map_position, side_position
@@ -186,6 +187,10 @@ def edit_position(edit: ExactEdit, x: wp.vec3):
     if edit.is_green == 1:
         mapped = green_position(
             x, edit.deformed_vertices, edit.faces, edit.fans, edit.rest_vertices, edit.rest_normals, edit.size
+        )
+    elif edit.is_of_quads == 1:
+        mapped = quad_mean_value_position(
+            x, edit.deformed_vertices, edit.quads, edit.planes, edit.rest_vertices, edit.size
         )
     else:
         mapped = mean_value_position(x, edit.deformed_vertices, edit.faces, edit.fans, edit.rest_vertices, edit.size)

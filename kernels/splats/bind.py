@@ -3,6 +3,7 @@
 import warp as wp
 
 from ..coordinates.maximum_likelihood import MOST_PASSES, exact_face_term
+from ..coordinates.quad_mean_value import NEAR_OUTSIDE, patch_rule, weights_by_rule
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -83,6 +84,62 @@ def bind_mean_value(
             scratch[face[1], n] = scratch[face[1], n] + row_b
             scratch[face[2], n] = scratch[face[2], n] + row_c
             total += row_a + row_b + row_c
+    inverse = _ONE / total[0]
+    for j in range(vertices.shape[0]):
+        row = scratch[j, n] * inverse
+        share = row[0]
+        rows[j, n] = wp.vec4(
+            float(share),
+            float(row[1] - share * total[1] * inverse),
+            float(row[2] - share * total[2] * inverse),
+            float(row[3] - share * total[3] * inverse),
+        )
+
+
+#: Steps of differences, as a share of the distance to a patch: off by about their square.
+STEP = wp.constant(wp.float64(1.0e-4))
+
+
+@wp.kernel
+def bind_quad_mean_value(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    vertices: wp.array(dtype=wp.vec3d),
+    quads: wp.array(dtype=wp.vec4i),
+    scratch: wp.array2d(dtype=wp.vec4d),
+    rows: wp.array2d(dtype=wp.vec4),
+):
+    """`bind_mean_value` of a cage of quads. Gradients are central differences by one rule of integration."""
+    n = first + wp.tid()
+    x = points[n]
+    total = wp.vec4d()
+    for j in range(vertices.shape[0]):
+        scratch[j, n] = wp.vec4d()
+    f = int(0)
+    while f < quads.shape[0]:
+        quad = quads[f]
+        p = vertices[quad[0]] - x
+        q = vertices[quad[1]] - x
+        r = vertices[quad[2]] - x
+        s = vertices[quad[3]] - x
+        rule = patch_rule(p, q, r, s, NEAR_OUTSIDE)
+        weights = weights_by_rule(p, q, r, s, rule, _ONE)
+        step = STEP * rule.distance
+        axis = int(-1)
+        while axis < 3:  # first the weights themselves
+            slopes = weights
+            if axis >= 0:
+                h = wp.vec3d()
+                h[axis] = step
+                before = weights_by_rule(p + h, q + h, r + h, s + h, rule, _ONE)
+                slopes = (weights_by_rule(p - h, q - h, r - h, s - h, rule, _ONE) - before) / (step + step)
+            for k in range(4):
+                row = scratch[quad[k], n]
+                row[axis + 1] = row[axis + 1] + slopes[k]
+                scratch[quad[k], n] = row
+                total[axis + 1] = total[axis + 1] + slopes[k]
+            axis += 1
+        f += 1
     inverse = _ONE / total[0]
     for j in range(vertices.shape[0]):
         row = scratch[j, n] * inverse

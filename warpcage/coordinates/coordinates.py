@@ -36,7 +36,7 @@ from ..kernels.lattice import cage_map
 from ..lattice.position_map import PositionMap
 from ..mesh import faces as face_geometry
 from ..mesh.match import posed_mesh, require_same_faces, with_faces_of
-from ..mesh.mesh import ClosedMesh, prepared_fans, require_mesh
+from ..mesh.mesh import ClosedMesh, prepared_fans, prepared_quads, require_mesh
 from ..mesh.queries import SURFACE_TOLERANCE, inside_mesh
 from ..mesh.surface import merge_rows
 from ..mesh.validity import require_usable, size_problem
@@ -283,7 +283,10 @@ def move_in_closed_form(
     vertices, _ = _cage_arrays(rest, local)
     faces = wp.array(rest.topology.fans.faces, dtype=wp.vec3i, device=device)
     targets = ((deformed.vertices - center) / rest.size).astype(np.float32)
-    inputs = [local.points, vertices, faces, prepared_fans(vertices, faces, 1.0)]
+    inputs, field = [local.points, vertices, faces, prepared_fans(vertices, faces, 1.0)], "map_points"
+    if rest.quads is not None and kind.map_quads:
+        quads, field = wp.array(rest.quads, dtype=wp.vec4i, device=device), "map_quads"
+        inputs = [local.points, vertices, quads, prepared_quads(vertices, quads, 1.0)]
     inputs.append(wp.array(targets, dtype=wp.vec3, device=device))
     positions = empty_array(local.count, wp.vec3, device)
     outputs: list[Any] = [positions]
@@ -291,7 +294,7 @@ def move_in_closed_form(
         normals = stretched_normals(rest, deformed)[rest.topology.fans.order].astype(np.float32)
         inputs.append(wp.array(normals, dtype=wp.vec3, device=device))
         outputs.append(local.bad[2:])
-    launch(kind.load("map_points"), local.count, [*inputs, 1.0], outputs, device=device, work=len(rest.faces))
+    launch(kind.load(field), local.count, [*inputs, 1.0], outputs, device=device, work=len(rest.faces))
     world = _restored(positions, local, center, rest.size)
     lost = _lost_rows(local, rest, kind, outside, flagged=kind.has_face_weights)  # waits, so after all launches
     if kind.is_iterative:
@@ -371,8 +374,10 @@ def _weigh(
     columns = [len(cage.vertices)] + [len(cage.faces)] * kind.has_face_weights
     _require_room(local, sum(columns) + (0 if cage.operator is None else cage.own_count))
     weights = [empty_array((local.count, count), wp.float32, local.device) for count in columns]
-    inputs = [local.points, *_cage_arrays(cage, local), 1.0]
-    launch(kind.load("weigh_points"), local.count, inputs, weights, device=local.device, work=len(cage.faces))
+    inputs, field = [local.points, *_cage_arrays(cage, local), 1.0], "weigh_points"
+    if cage.quads is not None and kind.weigh_quads:
+        inputs[2], field = wp.array(cage.quads, dtype=wp.vec4i, device=local.device), "weigh_quads"
+    launch(kind.load(field), local.count, inputs, weights, device=local.device, work=len(cage.faces))
     if kind.is_iterative and local.count:
         _require_solved(local, kind, weights[0][:, 0], lost)
     if cage.operator is not None:

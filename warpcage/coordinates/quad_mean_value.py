@@ -10,7 +10,9 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import empty_array
 from ..core.devices import launch, resolve_device
-from ..kernels.coordinates.quad_mean_value import prepare_quads, weigh_quad_mean_value
+from ..kernels.coordinates.quad_mean_value import weigh_quad_mean_value
+from ..mesh.mesh import prepared_quads
+from ..mesh.surface import in_strips
 
 
 class QuadFaces:
@@ -42,29 +44,7 @@ class QuadFaces:
     def prepared(self, vertices: wp.array, size: float) -> tuple[wp.array, wp.array]:
         """The corners (f,) vec4i on the vertices' device, and what maps read of each face, (3 f,) vec4."""
         corners = wp.array(self.corners, dtype=wp.vec4i, device=vertices.device)
-        planes = empty_array(3 * len(self.corners), wp.vec4, vertices.device)
-        launch(prepare_quads, len(self.corners), [vertices, corners, size], [planes], device=vertices.device)
-        return corners, planes
-
-
-def in_strips(quads: list[list[int]]) -> np.ndarray:
-    """Quads (f, 4) int32 in another order, and turned, so that many begin with the edge opposite to that of the quad
-    before: maps work it out once."""
-    sides = {
-        (a, b): (f, k)
-        for f, quad in enumerate(quads)
-        if quad[2] != quad[3]  # triangles are not turned
-        for k, (a, b) in enumerate(zip(quad, [*quad[1:], quad[0]], strict=True))
-    }
-    ordered: list[list[int]] = []
-    left = dict.fromkeys(range(len(quads)))
-    while left:
-        f, turn = next(iter(left)), 0
-        while f in left:
-            del left[f]
-            ordered.append(quads[f][turn:] + quads[f][:turn])
-            f, turn = sides.get((ordered[-1][3], ordered[-1][2]), (f, 0))
-    return np.array(ordered, np.int32).reshape(-1, 4)
+        return corners, prepared_quads(vertices, corners, size)
 
 
 def quad_mean_value_weights(

@@ -22,7 +22,7 @@ from ..field.render import FieldView
 from ..kernels.edits import cell_tables, trace
 from ..kernels.edits.structs import CellTable, ExactEdit
 from ..kernels.render.views import exact_kernel
-from ..mesh.mesh import prepared_fans
+from ..mesh.mesh import prepared_fans, prepared_quads
 from ..mesh.queries import SURFACE_TOLERANCE
 from ..render.launch import FrameLauncher, frame_target, load_pose_modules
 from ..render.view import PosedEdits
@@ -110,6 +110,10 @@ class ExactEdits(PosedEdits):
         struct.rest_vertices = local_points(rest.vertices, self._origin, self._device)
         struct.faces = wp.array(fans.faces, dtype=wp.vec3i, device=self._device)
         struct.fans = prepared_fans(struct.deformed_vertices, struct.faces, deformed.size)
+        if deformed.quads is not None and not self._is_green:
+            struct.quads = wp.array(deformed.quads, dtype=wp.vec4i, device=self._device)
+            struct.is_of_quads = 1
+            struct.planes = prepared_quads(struct.deformed_vertices, struct.quads, deformed.size)
         if self._is_green:
             normals = stretched_normals(deformed, rest)[fans.order].astype(np.float32)
             struct.rest_normals = wp.array(normals, dtype=wp.vec3, device=self._device)

@@ -17,6 +17,7 @@ from ..core.arrays import as_host_array, as_host_points
 from ..core.devices import launch
 from ..core.names import agreed, counted
 from ..errors import InputError
+from ..kernels.coordinates.quad_mean_value import prepare_quads
 from ..kernels.mesh.fans import prepare_fans
 from .surface import CELLS, PolygonFaces
 
@@ -66,6 +67,13 @@ def prepared_fans(vertices: wp.array, faces: wp.array, size: float, out: wp.arra
     fans = wp.empty(2 * faces.size, dtype=wp.vec4, device=faces.device) if out is None else out  # pyright: ignore[reportArgumentType]
     launch(prepare_fans, faces.size, [vertices, faces, size], [fans], device=faces.device)
     return fans
+
+
+def prepared_quads(vertices: wp.array, quads: wp.array, size: float, out: wp.array | None = None) -> wp.array:
+    """What closed forms read of quads (q,) vec4i, see the kernel `prepare_quads`: (3 q,) vec4. size, out: as above."""
+    planes = wp.empty(3 * quads.size, dtype=wp.vec4, device=quads.device) if out is None else out  # pyright: ignore[reportArgumentType]
+    launch(prepare_quads, quads.size, [vertices, quads, size], [planes], device=quads.device)
+    return planes
 
 
 class MeshTopology:
@@ -220,7 +228,7 @@ class ClosedMesh:
     # `mesh.validity.require_usable` first. Messages call it a cage: users make one as a `warpcage.Cage`.
 
     # __weakref__: mesh/validity.py remembers what it found for as long as the mesh lives
-    __slots__ = ("__weakref__", "_bounds", "_faces", "_object_name", "_operator", "_polygons", "_surfaces",
+    __slots__ = ("__weakref__", "_bounds", "_faces", "_object_name", "_operator", "_polygons", "_quads", "_surfaces",
                  "_topology", "_vertices")  # fmt: skip
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike | Sequence[Sequence[int]]):
@@ -228,6 +236,7 @@ class ClosedMesh:
         self._faces, self._polygons = _checked_faces(faces, self._vertices)
         self._surfaces: dict[int, Any] = {}  # by cells
         self._operator: Any = None
+        self._quads: np.ndarray | None = None
         self._topology: MeshTopology | None = None
         self._bounds: np.ndarray | None = None
         self._object_name = ""
@@ -294,7 +303,7 @@ class ClosedMesh:
         if cells not in self._surfaces:
             refined, fine = self._polygons.refined(cells), copy.copy(self)
             fine._polygons, fine._surfaces, fine._bounds = None, {}, None
-            fine._faces, fine._operator = refined.faces, refined.operator
+            fine._faces, fine._operator, fine._quads = refined.faces, refined.operator, refined.quads
             fine._vertices = refined.operator @ self._vertices
             fine._vertices.setflags(write=False)
             fine._topology = refined.topology
@@ -306,6 +315,11 @@ class ClosedMesh:
     def own_count(self) -> int:
         """How many of the vertices the others follow from by `operator`: all where there is none."""
         return len(self._vertices) if self._operator is None else self._operator.shape[1]
+
+    @property
+    def quads(self) -> np.ndarray | None:
+        """Of a surface, (q, 4) int32: faces of four corners, triangles, whose last stands twice; None for others."""
+        return self._quads
 
     @property
     def operator(self) -> Any:

@@ -16,11 +16,32 @@ from .polygons import concave_polygons
 CELLS = 2
 
 
+def in_strips(quads: list[list[int]]) -> np.ndarray:
+    """Quads (f, 4) int32 in another order, and turned, so that many begin with the edge opposite to that of the quad
+    before: maps work it out once."""
+    sides = {
+        (a, b): (f, k)
+        for f, quad in enumerate(quads)
+        if quad[2] != quad[3]  # triangles are not turned
+        for k, (a, b) in enumerate(zip(quad, [*quad[1:], quad[0]], strict=True))
+    }
+    ordered: list[list[int]] = []
+    left = dict.fromkeys(range(len(quads)))
+    while left:
+        f, turn = next(iter(left)), 0
+        while f in left:
+            del left[f]
+            ordered.append(quads[f][turn:] + quads[f][:turn])
+            f, turn = sides.get((ordered[-1][3], ordered[-1][2]), (f, 0))
+    return np.array(ordered, np.int32).reshape(-1, 4)
+
+
 class RefinedFaces:
     """The triangles of a surface. The vertices of the mesh come first, in their order."""
 
-    def __init__(self, operator: Any, faces: np.ndarray, owner: np.ndarray):
+    def __init__(self, operator: Any, faces: np.ndarray, owner: np.ndarray, quads: np.ndarray):
         faces.setflags(write=False)
+        self.quads = quads  # (q, 4) int32: faces of four corners; other triangles, whose last corner stands twice
         self.operator = operator  # (v', v) sparse: the vertices of the surface from those of the mesh
         self.faces, self.owner = faces, owner  # (f', 3) int32, in the order of the faces (f',) that they are of
         self.topology: Any = None  # of these triangles, once it is known
@@ -122,7 +143,11 @@ class PolygonFaces:
             owners.append(np.repeat(which, found[0].size // 3 if len(found) else 0))
         owner = np.concatenate(owners)
         order = np.argsort(owner, kind="stable")
-        return RefinedFaces(made.operator(), np.concatenate(faces)[order].astype(np.int32), owner[order])
+        owner, triangles = owner[order], np.concatenate(faces)[order].astype(np.int32)
+        four = whole & (self.sizes == 4)
+        quads = self.corners[self.starts[four, None] + np.arange(4)]
+        quads = in_strips([*quads.tolist(), *triangles[~four[owner]][:, [0, 1, 2, 2]].tolist()])
+        return RefinedFaces(made.operator(), triangles, owner, quads)
 
     def _by_size(self, numbers: np.ndarray) -> list[np.ndarray]:
         """Numbers of faces, those of one size together."""

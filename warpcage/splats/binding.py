@@ -174,6 +174,8 @@ class CageBinding(HeldOnDevice):
         every = _columns(corners + height - cage.own_count, max(chunk, 1), wp.vec4, device) if merges else None
         kernel = kind.load("bind_points")
         unsolved: Any = wp.zeros(1, dtype=int, device=device)
+        if cage.quads is not None and kind.bind_quads is not None:
+            faces, kernel = wp.array(cage.quads, dtype=wp.vec4i, device=device), kind.load("bind_quads")
         for begin in range(0, count, CHUNK):
             report_progress(progress, begin, count, "bind splats")
             items = min(CHUNK, count - begin)
