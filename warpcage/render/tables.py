@@ -18,6 +18,7 @@ from ..kernels.edits.fine_cells import FINE_COUNT, FINE_SIDE, FINE_UINTS, mark_f
 from ..kernels.edits.nodes import CELL_VEC4S, expand_map_cells
 from ..kernels.edits.structs import CELL_OUTSIDE, EditData
 from ..lattice.buffers import Buffer, BufferPool, SideStream, StreamOrder
+from ..lattice.sizes import FINE_NODES
 from .plan import FramePlan
 
 #: Cells narrower than this, in voxels, are not divided: fine cells would be smaller than what they skip.
@@ -30,7 +31,11 @@ FINE_BITS = int(FINE_SIDE).bit_length() - 1
 MAX_NODES = (1 << 31) // int(FINE_COUNT) - 64
 
 
-#: Those of each CUDA device, while tables use them.
+#: Nodes that tables have room for, in those of the first pose, up to FINE_NODES: most poses have no more, and a memory
+#: pool that grows keeps a frame waiting for 6 ms.
+NODE_ROOM = 2
+
+#: The buffers of each CUDA device, while tables use them.
 _shared_buffers: weakref.WeakValueDictionary[int, CellBuffers] = weakref.WeakValueDictionary()
 
 
@@ -57,12 +62,13 @@ class CellBuffers:
                 last.lose_cells()
             self._user = weakref.ref(user)
 
-    def take(self, dtype: type, number: int, count: int) -> wp.array:
-        """(count,) items of a type for the edit of a number; see `Buffer.take`."""
+    def take(self, dtype: type, number: int, each: int, nodes: int) -> wp.array:
+        """(each * nodes,) items of a type for the edit of a number; see `Buffer.take`."""
         key = dtype, number
         if key not in self._buffers:
             self._buffers[key] = self._pool.buffer(dtype)
-        return self._buffers[key].take(count)
+            self._buffers[key].take(each * min(NODE_ROOM * nodes, max(nodes, FINE_NODES)))
+        return self._buffers[key].take(each * nodes)
 
 
 class FineCells:
@@ -77,7 +83,7 @@ class FineCells:
         step: the longest of a march, world units."""
         width, take = max(grid.voxel_size), self._buffers.take
         held = [
-            (edit, take(wp.uint32, number, int(FINE_UINTS) * edit.look.size), take(wp.uint64, number, edit.look.size))
+            (edit, take(wp.uint32, number, int(FINE_UINTS), edit.look.size), take(wp.uint64, number, 1, edit.look.size))
             for number, edit in enumerate(edits)
             if edit.spacing >= MIN_VOXELS * width and edit.look.size <= MAX_NODES
         ]
@@ -178,7 +184,7 @@ class MapPolynomials:
             size = wp.types.type_size_in_bytes(wp.vec4) * count
             if not edit.removes and count < MAX_ENTRIES and size <= self._max_bytes:
                 inputs = [edit.nodes, edit.look, edit.node_counts]
-                polynomials = self._buffers.take(wp.vec4, number, count)
+                polynomials = self._buffers.take(wp.vec4, number, int(CELL_VEC4S), edit.look.size)
                 self._launch(expand_map_cells, edit.look.size, inputs, [polynomials], number=number)
                 edit.polynomials, edit.by_nodes = polynomials, 0
 
