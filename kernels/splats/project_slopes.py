@@ -142,9 +142,11 @@ def row_slopes(
     strength = by_place[0]
     place = vec4_entry(view, 3 * n)
     shape = vec4_entry(view, 3 * n + 1)
-    drawn = wp.vec3(shape[2], shape[3], vec4_entry(view, 3 * n + 2)[0])
-    for channel in range(3):  # colors held at 0
-        by_color[channel] = wp.where(drawn[channel] > 0.0, by_color[channel], 0.0)
+    by_drawn = wp.vec3(  # none where a color is held at 0
+        wp.where(shape[2] > 0.0, by_color[0], 0.0),
+        wp.where(shape[3] > 0.0, by_color[1], 0.0),
+        wp.where(vec4_entry(view, 3 * n + 2)[0] > 0.0, by_color[2], 0.0),
+    )
     # w = l_0 (x - column) + l_1 (y - row) and s = l_2 (y - row), each once in -w^2 - s^2
     column = 2.0 * place[3] * by_place[1]
     row = 2.0 * (shape[0] * by_place[1] + shape[1] * by_place[2])
@@ -204,9 +206,9 @@ def row_slopes(
     by_z = -(wp.dot(slope_column, to_column) + wp.dot(slope_row, to_row) + by_x * x + by_y * y) / z
     distance = wp.length(offset)
     direction = offset / distance
-    by_direction = color_slope(splats, n, direction, by_color)
+    by_direction = color_slope(splats, n, direction, by_drawn)
     found.direction = direction
-    found.color = by_color
+    found.color = by_drawn
     seen = (by_direction - wp.dot(by_direction, direction) * direction) / distance
     found.center = (by_x / z) * axis_x + (by_y / z) * axis_y + by_z * axis_z + seen
     return found
