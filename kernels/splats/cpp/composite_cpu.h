@@ -1,10 +1,7 @@
 #if !defined(__CUDA_ARCH__)
 {
 #pragma clang fp contract(fast)
-typedef float lanes __attribute__((ext_vector_type(8)));
-typedef int bits __attribute__((ext_vector_type(8)));
-const lanes steps = {0.5f, 1.5f, 2.5f, 3.5f, 4.5f, 5.5f, 6.5f, 7.5f};
-const float least = -7.994353437f;
+#include "tile_lanes.h"
 lanes left[16][2], red[16][2], green[16][2], blue[16][2], far[16][2];
 const int x0 = (tile % tiles.columns) * 16, y0 = (tiles.first_row + tile / tiles.columns) * 16;
 const int width = tiles.width - x0 < 16 ? tiles.width - x0 : 16;
@@ -23,22 +20,16 @@ for (int e = begin; e < end && alive; ++e)
 {
 #include "tile_alive.h"
 #include "tile_member.h"
-    for (int y = first_row; y <= last_row; ++y)
+    for (; parts; parts &= parts - 1u)
     {
-#include "tile_row.h"
-        for (int part = 0; part < 2; ++part)
-        {
-            if (!(parts >> part & 1u))
-                continue;
 #include "tile_raised.h"
-            const lanes weight = alpha * left[y][part];
-            red[y][part] += weight * p[6];
-            green[y][part] += weight * p[7];
-            blue[y][part] += weight * p[8];
-            if (with_depth)
-                far[y][part] += weight * (p[9] + p[11] * dy + p[10] * dx);
-            left[y][part] -= weight;
-        }
+        const lanes weight = alpha * left[y][part];
+        red[y][part] += weight * p[6];
+        green[y][part] += weight * p[7];
+        blue[y][part] += weight * p[8];
+        if (with_depth)
+            far[y][part] += weight * (p[9] + p[11] * dy + p[10] * dx);
+        left[y][part] -= weight;
     }
 }
 float* colors = reinterpret_cast<float*>(rgb.data);

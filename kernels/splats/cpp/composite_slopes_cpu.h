@@ -1,10 +1,7 @@
 #if !defined(__CUDA_ARCH__)
 {
 #pragma clang fp contract(fast)
-typedef float lanes __attribute__((ext_vector_type(8)));
-typedef int bits __attribute__((ext_vector_type(8)));
-const lanes steps = {0.5f, 1.5f, 2.5f, 3.5f, 4.5f, 5.5f, 6.5f, 7.5f};
-const float least = -7.994353437f;
+#include "tile_lanes.h"
 lanes left[16][2], behind[16][2], slope[3][16][2];
 const int x0 = (tile % tiles.columns) * 16, y0 = (tiles.first_row + tile / tiles.columns) * 16;
 const int width = tiles.width - x0 < 16 ? tiles.width - x0 : 16;
@@ -35,32 +32,26 @@ for (int e = begin; e < end; ++e)
     lanes found[9];
     for (int i = 0; i < 9; ++i)
         found[i] = (lanes)0.0f;
-    for (int y = alive ? first_row : 16; y <= last_row; ++y)
+    for (; parts; parts &= parts - 1u)
     {
-#include "tile_row.h"
-        for (int part = 0; part < 2; ++part)
-        {
-            if (!(parts >> part & 1u))
-                continue;
 #include "tile_raised.h"
-            const lanes weight = alpha * left[y][part];
-            const lanes gx = slope[0][y][part], gy = slope[1][y][part], gz = slope[2][y][part];
-            const lanes lit = gx * p[6] + gy * p[7] + gz * p[8];
-            behind[y][part] -= weight * lit;
-            lanes q = alpha * (left[y][part] * lit - behind[y][part] / (1.0f - alpha));
-            q = raised < 0.999f ? q : (lanes)0.0f;
-            left[y][part] -= weight;
-            const lanes qw = q * w;
-            found[0] += q;
-            found[1] += qw;
-            found[2] += q * s;
-            found[3] += qw * dx;
-            found[4] += qw * dy;
-            found[5] += q * (s * dy);
-            found[6] += weight * gx;
-            found[7] += weight * gy;
-            found[8] += weight * gz;
-        }
+        const lanes weight = alpha * left[y][part];
+        const lanes gx = slope[0][y][part], gy = slope[1][y][part], gz = slope[2][y][part];
+        const lanes lit = gx * p[6] + gy * p[7] + gz * p[8];
+        behind[y][part] -= weight * lit;
+        lanes q = alpha * (left[y][part] * lit - behind[y][part] / (1.0f - alpha));
+        q = raised < 0.999f ? q : (lanes)0.0f;
+        left[y][part] -= weight;
+        const lanes qw = q * w;
+        found[0] += q;
+        found[1] += qw;
+        found[2] += q * s;
+        found[3] += qw * dx;
+        found[4] += qw * dy;
+        found[5] += q * (s * dy);
+        found[6] += weight * gx;
+        found[7] += weight * gy;
+        found[8] += weight * gz;
     }
     // eight sums of lanes at once: four lanes of each, then two, then one
     lanes half[4], quarter[2];

@@ -1,7 +1,8 @@
-// every 16 entries: which parts, two a row, still see something, a bit each
-if (((e - begin) & 15) == 15)
-{
-    for (int part = 0; part < 32; ++part)
-        if ((alive >> part & 1u) && !__builtin_reduce_or(left[part >> 1][part & 1] > stop))
-            alive &= ~(1u << part);
-}
+// every 16 entries: which parts, eight pixels each, still see something; bit y of those on the left, 16 + y on the right
+if (((e - begin) & 15) == 0)
+    for (unsigned rest = alive; rest; rest &= rest - 1u)
+    {
+        const int bit = __builtin_ctz(rest);
+        if (!__builtin_reduce_or(left[bit & 15][bit >> 4] > stop))
+            alive &= ~(1u << bit);
+    }

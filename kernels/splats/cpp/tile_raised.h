@@ -1,7 +1,9 @@
-// two to the power of the exponent in a part, and the alpha where it is drawn
+// the next part: two to the power of the exponent there, and the alpha where it is drawn
+const int bit = __builtin_ctz(parts), y = bit & 15, part = bit >> 4;
+const float dy = (float)y + 0.5f - v, s = l2 * dy;
 const lanes dx = steps + ((float)(8 * part) - u);
-const lanes w = l0 * dx + shift;
-const lanes power = kept - w * w;
+const lanes w = l0 * dx + l1 * dy;
+const lanes power = (strength - s * s) - w * w;
 const bits drawn = (power >= least) & (left[y][part] > stop);
 // 2^power by its whole part, and a polynomial of the rest in [0, 1)
 const lanes held = power >= least ? power : (lanes)0.0f;
