@@ -48,6 +48,12 @@ CENTRAL = wp.constant(0.3)
 #: Where it has not ended after so many passes over the faces there is no solution; it takes 3 or 4 inside a cage.
 MOST_PASSES = wp.constant(80)
 
+#: A face is seen edge-on where it is this far beside a point, as a share of the size, and the point next to its plane.
+BESIDE = wp.constant(0.1)
+
+#: Edge-on faces weigh less than 1e-6 where det^2 is no more than this share of the limit for float64, and nothing here.
+EDGE_ON = wp.constant(0.1)
+
 #: Points this far out of the cage, as a share of the size, count as on it: 1e-5 in world units, and its rounding.
 OUTSIDE = wp.constant(wp.float64(1.1e-5))
 
@@ -128,11 +134,6 @@ def far_face_term(edge_ba: FaceEdge, edge_bc: FaceEdge, edge_ca: FaceEdge, norma
     term.prior = wp.max(0.5 * wp.dot(mean, normal) * reciprocal_root(wp.dot(normal, normal)), 0.0)
     term.corners = (2.0 * inverse) * far_face_weights(edge_ba, edge_bc, edge_ca, det)
     return term
-
-
-@wp.func
-def at_corners(term: FaceTerm, a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    return term.corners[0] * a + term.corners[1] * b + term.corners[2] * c
 
 
 @wp.func
@@ -255,6 +256,103 @@ def searched(search: Search, sums: Likelihood, passes: int):
 
 
 @wp.func
+def fan_term(
+    a: wp.vec3,
+    b: wp.vec3,
+    c: wp.vec3,
+    edge_ba: FaceEdge,
+    edge_bc: FaceEdge,
+    edge_ca: FaceEdge,
+    plane: wp.vec4,
+    size: float,
+):
+    """The face a, b, c as seen from the origin; plane: of `prepare_fans`."""
+    normal = wp.vec3(plane[0], plane[1], plane[2])
+    det = wp.dot(normal, c)
+    term = FaceTerm()
+    is_far = det * det > plane[3]
+    if not is_far and not (
+        is_beside(edge_bc.cross, c - b, normal, size)
+        or is_beside(edge_ca.cross, a - c, normal, size)
+        or is_beside(-edge_ba.cross, b - a, normal, size)
+    ):
+        term = near_face_term(a, b, c, size)
+    elif det > 0.0 and (is_far or det * det > EDGE_ON * plane[3]):
+        term = far_face_term(edge_ba, edge_bc, edge_ca, normal, det)
+    return term
+
+
+@wp.func
+def is_beside(cross: wp.vec3, edge: wp.vec3, normal: wp.vec3, size: float):
+    """Whether the origin, next to the plane of a face, is well outside of the face across this edge."""
+    side = wp.dot(cross, normal)
+    reach = BESIDE * size
+    return side < 0.0 and side * side > reach * reach * wp.dot(edge, edge) * wp.dot(normal, normal)
+
+
+@wp.struct
+class Likeliest:
+    """The solution at a point."""
+
+    phi: wp.vec3
+    residual: float  # |sum y d| / sum y where none was found, else 0
+    touched: int  # a face that the point lies on, else -1
+
+
+@wp.func
+def likeliest(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
+    size: float,
+):
+    """Newton's method: three unknowns, and a pass over the faces for each step."""
+    found = Likeliest()
+    found.touched = -1
+    search = Search()
+    passes = int(0)
+    while passes < MOST_PASSES:
+        sums = Likelihood()
+        a = wp.vec3(0.0, 0.0, 0.0)
+        b = wp.vec3(0.0, 0.0, 0.0)
+        edge_ba = FaceEdge()
+        begins = int(1)
+        f = int(0)
+        while f < faces.shape[0]:
+            if begins == 1:
+                face = vec3i_entry(faces, f)
+                a = vec3_entry(vertices, face[0]) - x
+                b = vec3_entry(vertices, face[1]) - x
+                edge_ba = face_edge(b, a)
+            corner = vec4_entry(fans, 2 * f)
+            begins = wp.where(wp.cast(corner[3], int) < 0, 1, 0)
+            c = wp.vec3(corner[0], corner[1], corner[2]) - x
+            edge_bc = face_edge(b, c)
+            edge_ca = face_edge(c, a)
+            term = fan_term(a, b, c, edge_ba, edge_bc, edge_ca, vec4_entry(fans, 2 * f + 1), size)
+            if term.touching == 1:
+                found.touched = f
+            if term.prior > 0.0:
+                share = 1.0 / (1.0 + wp.dot(search.phi, term.direction))
+                sums = with_face(sums, term.direction, term.prior + search.extra, share)
+            b = c
+            edge_ba = edge_ca
+            f += 1
+        sums = with_step(sums)
+        found.residual = wp.where(sums.total == 0.0, 1.0, wp.length(sums.balance) / sums.total)
+        if found.touched >= 0 or (search.extra == 0.0 and has_settled(sums)):
+            search.phi += sums.step
+            found.residual = 0.0
+            passes = MOST_PASSES
+        else:
+            search = searched(search, sums, passes)
+            passes += 1
+    found.phi = search.phi
+    return found
+
+
+@wp.func
 def maximum_likelihood_point(
     x: wp.vec3,
     vertices: wp.array(dtype=wp.vec3),
@@ -265,79 +363,27 @@ def maximum_likelihood_point(
 ):
     """`maximum_likelihood_position`, and the residual |sum y d| / sum y where the iterations have found no solution
     and the position is a guess, else 0."""
+    found = likeliest(x, vertices, faces, fans, size)
+    total = float(0.0)
     position = wp.vec3(0.0, 0.0, 0.0)
-    search = Search()
-    residual = float(0.0)
-    passes = int(0)
-    while passes < MOST_PASSES:
-        sums = Likelihood()
-        total = float(0.0)
-        position = wp.vec3(0.0, 0.0, 0.0)
-        total_slope = wp.vec3(0.0, 0.0, 0.0)  # by phi
-        slope_x = wp.vec3(0.0, 0.0, 0.0)
-        slope_y = wp.vec3(0.0, 0.0, 0.0)
-        slope_z = wp.vec3(0.0, 0.0, 0.0)
-        b = wp.vec3(0.0, 0.0, 0.0)
-        target_b = wp.vec3(0.0, 0.0, 0.0)
-        edge_ba = FaceEdge()
-        a = wp.vec3(0.0, 0.0, 0.0)
-        target_a = wp.vec3(0.0, 0.0, 0.0)
-        begins = int(1)
-        f = int(0)
-        while f < faces.shape[0]:
-            if begins == 1:
-                face = vec3i_entry(faces, f)
-                a = vec3_entry(vertices, face[0]) - x
-                b = vec3_entry(vertices, face[1]) - x
-                target_a = vec3_entry(targets, face[0])
-                target_b = vec3_entry(targets, face[1])
-                edge_ba = face_edge(b, a)
-            corner = vec4_entry(fans, 2 * f)
-            plane = vec4_entry(fans, 2 * f + 1)
-            index = wp.cast(corner[3], int)
-            begins = wp.where(index < 0, 1, 0)
-            c = wp.vec3(corner[0], corner[1], corner[2]) - x
-            target_c = vec3_entry(targets, wp.where(index < 0, -1 - index, index))
-            edge_bc = face_edge(b, c)
-            edge_ca = face_edge(c, a)
-            normal = wp.vec3(plane[0], plane[1], plane[2])
-            det = wp.dot(normal, c)
-            term = FaceTerm()
-            if det * det <= plane[3]:
-                term = near_face_term(a, b, c, size)
-                if term.touching == 1:
-                    position = at_corners(term, target_a, target_b, target_c)
-                    return forward_only(wp.vec4(position[0], position[1], position[2], 0.0), x)
-            elif det > 0.0:
-                term = far_face_term(edge_ba, edge_bc, edge_ca, normal, det)
-            if term.prior > 0.0:
-                share = 1.0 / (1.0 + wp.dot(search.phi, term.direction))
-                sums = with_face(sums, term.direction, term.prior + search.extra, share)
-                y = term.prior * share
-                weight = y * (term.corners[0] + term.corners[1] + term.corners[2])
-                along = y * at_corners(term, target_a, target_b, target_c)
-                total += weight
-                position += along
-                total_slope -= (share * weight) * term.direction
-                along = along * share
-                slope_x -= along[0] * term.direction
-                slope_y -= along[1] * term.direction
-                slope_z -= along[2] * term.direction
-            b = c
-            target_b = target_c
-            edge_ba = edge_ca
-            f += 1
-        sums = with_step(sums)
-        if search.extra == 0.0 and has_settled(sums):
-            step = sums.step
-            position += wp.vec3(wp.dot(slope_x, step), wp.dot(slope_y, step), wp.dot(slope_z, step))
-            position = position / (total + wp.dot(total_slope, step))
-            return forward_only(wp.vec4(position[0], position[1], position[2], 0.0), x)
-        search = searched(search, sums, passes)
-        position = position * wp.where(total == 0.0, 0.0, 1.0 / total)
-        residual = wp.where(sums.total == 0.0, 1.0, wp.length(sums.balance) / sums.total)
-        passes += 1
-    return forward_only(wp.vec4(position[0], position[1], position[2], residual), x)
+    f = wp.max(found.touched, 0)
+    after = wp.where(found.touched < 0, faces.shape[0], f + 1)
+    while f < after:
+        face = vec3i_entry(faces, f)
+        a = vec3_entry(vertices, face[0]) - x
+        b = vec3_entry(vertices, face[1]) - x
+        c = vec3_entry(vertices, face[2]) - x
+        plane = vec4_entry(fans, 2 * f + 1)
+        term = fan_term(a, b, c, face_edge(b, a), face_edge(b, c), face_edge(c, a), plane, size)
+        y = wp.where(term.touching == 1, 1.0, term.prior / (1.0 + wp.dot(found.phi, term.direction)))
+        weights = y * term.corners
+        total += weights[0] + weights[1] + weights[2]
+        position += weights[0] * vec3_entry(targets, face[0])
+        position += weights[1] * vec3_entry(targets, face[1])
+        position += weights[2] * vec3_entry(targets, face[2])
+        f += 1
+    position = position * wp.where(total == 0.0, 0.0, 1.0 / total)
+    return forward_only(wp.vec4(position[0], position[1], position[2], found.residual), x)
 
 
 @wp.func
@@ -357,7 +403,7 @@ def maximum_likelihood_position(
     return wp.vec3(point[0], point[1], point[2])
 
 
-@wp.kernel(launch_bounds=(128, 5))
+@wp.kernel(launch_bounds=(128, 4))
 def map_maximum_likelihood(
     first: int,
     points: wp.array(dtype=wp.vec3),

@@ -79,7 +79,7 @@ def map_nodes_green(
     values[node] = green_position(centered_place(levels, node), vertices, faces, fans, targets, target_normals, size)
 
 
-@wp.kernel(launch_bounds=(128, 5))
+@wp.kernel(launch_bounds=(128, 4))
 def map_nodes_maximum_likelihood(
     first: int,
     levels: NodeLevels,

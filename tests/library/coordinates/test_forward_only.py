@@ -110,6 +110,7 @@ def doubts(key):
 
 #: Functions with doubts that speak for themselves all the same, or have nothing to say.
 OTHERS = {
+    "coordinates/maximum_likelihood:likeliest": "maximum_likelihood_point, for which alone it is, speaks",
     "coordinates/green:green_point": "its own gradient",
     "coordinates/mean_value:mean_value_position": "its own gradient",
     "lattice/cage_map:side_position": "its own gradient",

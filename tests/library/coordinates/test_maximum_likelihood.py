@@ -139,7 +139,7 @@ def test_map_is_the_weighted_sum_and_affine_poses_are_exact(device):
 @pytest.mark.parametrize("scale", [(1, 1, 1e-2), (1, 1e-2, 1e-2), (1, 1e-3, 1e-3)], ids=["leaf", "rod", "needle"])
 @some_cages
 def test_flat_and_long_cages_have_them(name, scale, device):
-    """Where next to no solid angle is left along some direction, y is far from p, and steps of Newton's method go astray."""
+    """Where hardly any solid angle is left along some direction, y is far from p, and plain Newton steps go astray."""
     vertices, faces = oracles.cage(name)
     vertices = vertices * scale
     points = oracles.inside_points(vertices, faces, 200)
