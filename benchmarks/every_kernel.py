@@ -24,6 +24,7 @@ from machine_code import kernel_modules
 
 import warpcage
 from warpcage import FieldOptimizer, PositionMap
+from warpcage.coordinate_kinds import COORDINATE_KINDS
 from warpcage.coordinates.quad_mean_value import QuadFaces, quad_mean_value_weights
 from warpcage.core import COORDINATES, launch, limit_threads
 from warpcage.fitting.splats import PictureLoss
@@ -166,6 +167,7 @@ def coordinates(device) -> None:
     warpcage.mean_value_coordinates(points, CAGE)
     warpcage.green_coordinates(points, CAGE)
     warpcage.mean_value_coordinates(points, QUADS)
+    warpcage.maximum_likelihood_coordinates(points, CAGE)
     warpcage.harmonic_coordinates(POINTS, CAGE, resolution=12, device=device)
     for kind in COORDINATES:
         warpcage.deform_points(points, CAGE, POSE, coordinates=kind)
@@ -198,7 +200,7 @@ def frames(device) -> None:
     field = ball_field(device)
     for kind in COORDINATES:
         for options in ({"resolution": 12}, {"resolution": 12, "store": "weights"}, {"resolution": None}):
-            if kind == "harmonic" and options["resolution"] is None:
+            if options["resolution"] is None and not COORDINATE_KINDS[kind].is_precise:
                 continue
             deformer = warpcage.Deformer(field, CAGE, coordinates=kind, device=device, **options).pose(POSE)
             deformer.render(camera())
