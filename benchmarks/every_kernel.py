@@ -25,11 +25,9 @@ from machine_code import kernel_modules
 import warpcage
 from warpcage import FieldOptimizer, PositionMap
 from warpcage.coordinate_kinds import COORDINATE_KINDS
-from warpcage.coordinates.quad_mean_value import QuadFaces, quad_mean_value_weights
 from warpcage.core import COORDINATES, launch, limit_threads
 from warpcage.fitting.splats import PictureLoss
 from warpcage.kernels.coordinates.green import map_green
-from warpcage.kernels.coordinates.quad_mean_value import map_quad_mean_value
 from warpcage.lattice import HarmonicSolver, PoseGraph
 from warpcage.mesh import prepared_fans
 from warpcage.splats import SplatDensity
@@ -41,7 +39,9 @@ CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add
             "fitting.rmsprop.join_maximum", "render.march_cpu.", "field.march_cpu.",
             "field.occupancy.gather_densities", "field.occupancy.note_densities", "field.occupancy.spread_lines",
             "mesh.shell.", "mesh.collapses.", "splats.composite_cpu.", "splats.pose.carry_bound"}  # fmt: skip
-CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows",
+CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps",
+             "fitting.rmsprop.step_halves.apply_rmsprop_halves",
+             "fitting.rmsprop.variation_halves.accumulate_variation_halves", "field.rows.pack_rows",
              "field.densities.lay_densities", "field.refine.widen_rows", "field.outer_bricks.",
              "field.columns.link_rows", "field.occupancy.spread_distance", "field.colors.",
              "field.march.rows.", "field.march.shaded.", "render.views.rows", "render.views.shaded",
@@ -180,11 +180,8 @@ def coordinates(device) -> None:
     fine = warpcage.Cage(sphere.vertices, sphere.faces)
     for kind in ("harmonic", "mean_value"):
         PositionMap(fine, coordinates=kind, resolution=12, device=device).pose(fine.twist(50)).pose(fine.bend(60))
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    cube = wp.array(np.argwhere(np.ones((2, 2, 2))) * 2.0 - 1.0, dtype=wp.vec3, device=device)
-    inputs = [points, cube, *QuadFaces(8, quads).prepared(cube, 2.0), cube, 2.0]
-    launch(map_quad_mean_value, len(points), inputs, [wp.empty_like(points)], device=device)
-    quad_mean_value_weights(POINTS, cube.numpy(), quads, device)
+    PositionMap(QUADS, coordinates="mean_value", resolution=12, device=device).pose(QUADS.bend(40))
+    warpcage.deform_points(points, QUADS, QUADS.bend(40), coordinates="mean_value")
 
 
 def slotted(width: float) -> warpcage.Cage:
@@ -303,6 +300,7 @@ def posed_splats(device) -> None:
         options = {"coordinates": kind, "resolution": 12, "device": device}
         for map in ("forward", "backward"):
             warpcage.Deformer(field, CAGE, map=map, **options).pose(POSE).baked()
+    warpcage.Deformer(field, QUADS, **options | {"coordinates": "mean_value"}).pose(QUADS.bend(40)).posed_splats()
     lid = warpcage.Cage.box((-1.2, -1.2, 2.0), (1.2, 1.2, 5.0))
     cages = [warpcage.CageEdit(CAGE, keep_source=True), lid, warpcage.CageEdit(lid.translate((0, 4, 0)), remove=True)]
     chain = warpcage.Deformer(field, cages, **options)
