@@ -1,9 +1,9 @@
 """Look-ups around an object on a voxel grid: trilinear values, and the distance to the nearest of many points."""
 
-# In float64, operation by operation as SciPy (map_coordinates of order 1, KDTree.query), nothing fused: the last digit
-# is the same. Node (0, 0, 0) is at `lower`, nodes are `spacing` apart; beyond the grid a point takes the value at its
-# edge. Points (p,) are sorted by voxel, the last axis fastest: those of voxel (i, j, k), at most half a spacing from
-# its node along each axis, are starts[n] to starts[n + 1] with n = (i * ny + j) * nz + k.
+# Sums in float64, nothing fused. A grid of shape (nx, ny, nz) holds node (i, j, k) at n = (i * ny + j) * nz + k, the
+# first at `lower`, others `spacing` apart; a place in it counts spacings from there, and beyond it takes the value at
+# its edge. A sample (p, i, j) of a face a, b, c has the barycentric weights (p - i - j, i, j) / p. Points (p,) are
+# sorted by voxel: those of voxel n, at most half a spacing from its node along each axis, begin at starts[n].
 
 import warp as wp
 
@@ -24,59 +24,101 @@ ONE = wp.constant(wp.float64(1.0))
 ZERO = wp.constant(wp.float64(0.0))
 
 #: Length of a slope below which it has no direction.
-FLAT = wp.constant(wp.float64(1.0e-6))
+FLAT = wp.constant(1.0e-6)
+TINY = wp.constant(wp.float64(1.0e-300))
+
+
+@wp.struct
+class DistanceGrid:
+    """Distances (n,) from an object, world units, and their slopes (n,) at the nodes of a grid."""
+
+    distances: wp.array(dtype=wp.float32)
+    slopes: wp.array(dtype=wp.vec3)
+    shape: wp.vec3i
+    lower: wp.vec3d
+    spacing: wp.float64
 
 
 @wp.func
-def held(voxel: wp.float64, count: int):
-    """The index of a voxel, held to those of the grid."""
-    return int(wp.min(wp.max(voxel, ZERO), wp.float64(count - 1)))
+def grid_place(grid: DistanceGrid, x: wp.vec3d):
+    """Where a point is in the grid."""
+    return (x - grid.lower) / grid.spacing
 
 
 @wp.func
-def trilinear(volume: wp.array3d(dtype=wp.float64), x: wp.vec3d, lower: wp.vec3d, spacing: wp.float64):
-    """Value of a volume at x."""
-    place_x = (x[0] - lower[0]) / spacing
-    place_y = (x[1] - lower[1]) / spacing
-    place_z = (x[2] - lower[2]) / spacing
-    before_x = wp.floor(place_x)
-    before_y = wp.floor(place_y)
-    before_z = wp.floor(place_z)
-    i = held(before_x, volume.shape[0])
-    j = held(before_y, volume.shape[1])
-    k = held(before_z, volume.shape[2])
-    i1 = held(before_x + ONE, volume.shape[0])
-    j1 = held(before_y + ONE, volume.shape[1])
-    k1 = held(before_z + ONE, volume.shape[2])
-    # beyond the grid both nodes are that of its edge
-    x0 = ONE - (place_x - before_x)
-    y0 = ONE - (place_y - before_y)
-    z0 = ONE - (place_z - before_z)
-    x1 = ONE - x0
-    y1 = ONE - y0
-    z1 = ONE - z0
-    total = volume[i, j, k] * x0 * y0 * z0
-    total = total + volume[i, j, k1] * x0 * y0 * z1
-    total = total + volume[i, j1, k] * x0 * y1 * z0
-    total = total + volume[i, j1, k1] * x0 * y1 * z1
-    total = total + volume[i1, j, k] * x1 * y0 * z0
-    total = total + volume[i1, j, k1] * x1 * y0 * z1
-    total = total + volume[i1, j1, k] * x1 * y1 * z0
-    return total + volume[i1, j1, k1] * x1 * y1 * z1
+def grid_cell(shape: wp.vec3i, place: wp.vec3d):
+    """The node before a place, steps to the ones after it along the axes, and how far along them the place is."""
+    x = wp.clamp(place[0], ZERO, wp.float64(shape[0] - 1))
+    y = wp.clamp(place[1], ZERO, wp.float64(shape[1] - 1))
+    z = wp.clamp(place[2], ZERO, wp.float64(shape[2] - 1))
+    i = int(x)
+    j = int(y)
+    k = int(z)
+    row = shape[2]
+    step_x = wp.where(i + 1 < shape[0], row * shape[1], 0)
+    step_y = wp.where(j + 1 < shape[1], row, 0)
+    step_z = wp.where(k + 1 < row, 1, 0)
+    share = wp.vec3d(x - wp.float64(i), y - wp.float64(j), z - wp.float64(k))
+    return (i * shape[1] + j) * row + k, step_x, step_y, step_z, share
+
+
+@wp.func
+def between(values: wp.array(dtype=wp.float32), n: int, step: int, share: wp.float64):
+    """A value between two nodes."""
+    before = wp.float64(values[n])
+    return before + share * (wp.float64(values[n + step]) - before)
+
+
+@wp.func
+def grid_distance(grid: DistanceGrid, place: wp.vec3d):
+    """Distance at a place, trilinear."""
+    n, x, y, z, share = grid_cell(grid.shape, place)
+    a = between(grid.distances, n, z, share[2])
+    b = between(grid.distances, n + y, z, share[2])
+    c = between(grid.distances, n + x, z, share[2])
+    d = between(grid.distances, n + x + y, z, share[2])
+    a = a + share[1] * (b - a)
+    c = c + share[1] * (d - c)
+    return a + share[0] * (c - a)
+
+
+@wp.func
+def slope_direction(grid: DistanceGrid, place: wp.vec3d):
+    """Unit direction in which the distance grows at a place, zero where it is flat."""
+    n, x, y, z, share = grid_cell(grid.shape, place)
+    u = float(share[0])
+    v = float(share[1])
+    w = float(share[2])
+    slopes = grid.slopes
+    a = wp.lerp(wp.lerp(slopes[n], slopes[n + z], w), wp.lerp(slopes[n + y], slopes[n + y + z], w), v)
+    b = wp.lerp(wp.lerp(slopes[n + x], slopes[n + x + z], w), wp.lerp(slopes[n + x + y], slopes[n + x + y + z], w), v)
+    slope = wp.lerp(a, b, u)
+    length = wp.length(slope)
+    if length > FLAT:
+        return wp.vec3d(slope / length)
+    return wp.vec3d(ZERO, ZERO, ZERO)
+
+
+@wp.func
+def sample_place(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, pieces: int, i: int, j: int):
+    """Place of a sample of a face."""
+    whole = wp.float64(pieces)
+    return (wp.float64(pieces - i - j) / whole) * a + (wp.float64(i) / whole) * b + (wp.float64(j) / whole) * c
+
+
+@wp.func
+def samples_clear(room: wp.float64, along: wp.float64, pieces: int):
+    """How many samples after one in a row of a face, `along` apart, are off a level that this one is `room` off."""
+    return int(wp.min(wp.floor(room / wp.max(along, TINY)), wp.float64(pieces)))
 
 
 @wp.kernel
-def look_up(
-    first: int,
-    x: wp.array(dtype=wp.vec3d),
-    volume: wp.array3d(dtype=wp.float64),
-    lower: wp.vec3d,
-    spacing: wp.float64,
-    values: wp.array(dtype=wp.float64),
+def look_up_directions(
+    first: int, x: wp.array(dtype=wp.vec3d), grid: DistanceGrid, directions: wp.array(dtype=wp.vec3d)
 ):
-    """Values (n,) of a volume at points x (n,)."""
+    """Unit directions (n,) in which the distance grows at points x (n,), zero where it is flat."""
     n = first + wp.tid()
-    values[n] = trilinear(volume, x[n], lower, spacing)
+    directions[n] = slope_direction(grid, grid_place(grid, x[n]))
 
 
 @wp.kernel
@@ -84,49 +126,61 @@ def look_up_faces(
     first: int,
     vertices: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=wp.vec3i),
-    weights: wp.array(dtype=wp.vec3d),
-    volume: wp.array3d(dtype=wp.float64),
-    lower: wp.vec3d,
-    spacing: wp.float64,
+    pieces: int,
+    grid: DistanceGrid,
     values: wp.array2d(dtype=wp.float64),
 ):
-    """Values (f, s) of a volume at the samples of barycentric weights (s,) on faces (f,)."""
+    """Distances (f, s) at the samples of faces (f,): those of i = 0 first, j from 0 up."""
     f = first + wp.tid()
     face = faces[f]
-    a = vertices[face[0]]
-    b = vertices[face[1]]
-    c = vertices[face[2]]
-    for s in range(weights.shape[0]):
-        w = weights[s]
-        x = wp.vec3d(
-            a[0] * w[0] + b[0] * w[1] + c[0] * w[2],
-            a[1] * w[0] + b[1] * w[1] + c[1] * w[2],
-            a[2] * w[0] + b[2] * w[1] + c[2] * w[2],
-        )
-        values[f, s] = trilinear(volume, x, lower, spacing)
+    a = grid_place(grid, vertices[face[0]])
+    b = grid_place(grid, vertices[face[1]])
+    c = grid_place(grid, vertices[face[2]])
+    s = int(0)
+    for i in range(pieces + 1):
+        for j in range(pieces + 1 - i):
+            values[f, s] = grid_distance(grid, sample_place(a, b, c, pieces, i, j))
+            s += 1
 
 
 @wp.kernel
-def look_up_directions(
+def list_near_samples(
     first: int,
-    x: wp.array(dtype=wp.vec3d),
-    slope_x: wp.array3d(dtype=wp.float64),
-    slope_y: wp.array3d(dtype=wp.float64),
-    slope_z: wp.array3d(dtype=wp.float64),
-    lower: wp.vec3d,
-    spacing: wp.float64,
-    directions: wp.array(dtype=wp.vec3d),
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    pieces: wp.array(dtype=int),
+    levels: wp.array(dtype=wp.float64),
+    grid: DistanceGrid,
+    starts: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+    places: wp.array(dtype=wp.vec3d),
+    distances: wp.array(dtype=wp.float64),
 ):
-    """Unit directions (n,) of a slope at points x (n,), zero where it is flat."""
-    n = first + wp.tid()
-    u = trilinear(slope_x, x[n], lower, spacing)
-    v = trilinear(slope_y, x[n], lower, spacing)
-    w = trilinear(slope_z, x[n], lower, spacing)
-    length = wp.sqrt(u * u + v * v + w * w)
-    if length > FLAT:
-        directions[n] = wp.vec3d(u / length, v / length, w / length)
-    else:
-        directions[n] = wp.vec3d(ZERO, ZERO, ZERO)
+    """How many samples (f,) of faces (f,), cut in pieces (f,), are nearer than levels (f,); their places and distances
+    from starts (f,) on, as far as there is room for them."""
+    # a distance grows by no more than one's way: samples of a row are left out that cannot be near
+    f = first + wp.tid()
+    face = faces[f]
+    a = grid_place(grid, vertices[face[0]])
+    b = grid_place(grid, vertices[face[1]])
+    c = grid_place(grid, vertices[face[2]])
+    along = grid.spacing * wp.length(c - a) / wp.float64(pieces[f])
+    count = int(0)
+    for i in range(pieces[f] + 1):
+        j = int(0)
+        while j <= pieces[f] - i:
+            x = sample_place(a, b, c, pieces[f], i, j)
+            distance = grid_distance(grid, x)
+            if distance < levels[f]:
+                place = starts[f] + count
+                if place < places.shape[0]:
+                    places[place] = grid.lower + grid.spacing * x
+                    distances[place] = distance
+                count += 1
+                j += 1
+            else:
+                j += 1 + samples_clear(distance - levels[f], along, pieces[f])
+    counts[f] = count
 
 
 @wp.func

@@ -6,9 +6,10 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "check": "check_pose grid_points",
-        "generate.decimate": "progressive_hull",
-        "generate.fit": "face_samples points_on sample_weights",
-        "generate.shell": "NearestInTree NearestInVoxels ObjectShell distance_to",
+        "generate.decimate": "EdgeCollapses progressive_hull",
+        "generate.distance": "NearestInTree NearestInVoxels ObjectShell ObjectVoxels distance_to",
+        "generate.fit": "HeldFaces face_samples",
+        "generate.shell": "crossings",
         "generate.voxel": "outer_surface principal_frame",
         "pose_file": "are_numbered cache_poses cage_hash gltf_poses gltf_shown numbered_files sequence_poses",
         "poses": "direction move",

@@ -12,7 +12,7 @@ from test_cage_generation import winding
 
 from warpcage import Cage
 from warpcage.cage import generate
-from warpcage.cage.generate import decimate, fit, shell, voxel
+from warpcage.cage.generate import decimate, distance, fit, shell, voxel
 from warpcage.mesh import queries, validity
 
 #: Sizes of the noise on vertices, as shares of the object's size; each goes with a new order and another turn.
@@ -202,7 +202,7 @@ def test_last_digits_of_products_cost_no_cage(shape, count, method, seed, monkey
     coarsen(monkeypatch)
     products = ("einsum", "cross", "matmul", "dot", "norm", "solve", "eigh", "svd", "det")
     numpy = Perturbed(np, products, np.random.default_rng(seed))
-    for module in (decimate, fit, generate, queries, shell, validity, voxel):
+    for module in (decimate, distance, fit, generate, queries, shell, validity, voxel):
         monkeypatch.setattr(module, "np", numpy)
     cage = Cage.from_mesh(SHAPES[shape], count, method=method)
     monkeypatch.undo()
@@ -224,7 +224,8 @@ def test_equal_spreads_take_the_axes_of_the_world():
 @pytest.mark.parametrize("count", [8, 9, 31, 200])
 def test_the_last_resort_is_a_box_of_the_count(count):
     points = np.random.default_rng(0).normal(size=(50, 3)) * [1.0, 0.2, 0.01]
-    cage = Cage(*shell.split_box(points, 0.1, count))
+    bounds = np.array([points.min(axis=0), points.max(axis=0)])
+    cage = Cage(*shell.split_box(bounds, 0.1, count))
     report = cage.check()
     assert report.usable and report.vertex_count == count and report.intersecting_faces == ()
     assert cage.volume == pytest.approx(np.prod(np.ptp(points, axis=0) + 0.2))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from ...core.checks import checked_number, checked_whole
 from ...core.names import checked_choice
 from ...core.reports import Progress, report_progress
+from ...core.threads import cpu_threads
 from ...errors import InputError
 from ...field.surface import require_field
 from ...mesh.mesh import ClosedMesh
@@ -17,8 +19,9 @@ from ...mesh.validity import first_problem, require_usable
 from ...select.planes import Plane
 from ...select.selection import visible_nodes
 from .decimate import progressive_hull
+from .distance import ObjectShell, ObjectVoxels, bounds_of
 from .fit import cleared, face_samples, row_sums
-from .shell import ObjectShell, decimated, flaw, shell_cage
+from .shell import NOT_CLEAR, decimated, flaw, shell_cage
 from .voxel import voxel_cage
 
 _log = logging.getLogger(__name__)
@@ -93,14 +96,14 @@ def voxel_spacing(extent, vertex_count) -> float:
 
 
 def surface_points(vertices, faces, spacing) -> np.ndarray:
-    """Points on faces no more than `spacing` from their neighbours: a regular grid on each, by number of pieces."""
+    """Points on faces no more than `spacing` from their neighbours: a regular grid on each, its corners left out."""
     corners = vertices[faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     pieces = np.maximum(np.ceil(longest / spacing).astype(np.int64), 1)
     found = []
     for count in np.unique(pieces[pieces > 1]):
-        samples, _ = face_samples(vertices, faces[pieces == count], int(count))
-        found.append(samples.reshape(-1, 3))
+        samples, weights = face_samples(vertices, faces[pieces == count], int(count))
+        found.append(samples[:, weights.max(axis=1) < 1.0].reshape(-1, 3))
     return np.concatenate(found) if found else np.zeros((0, 3))
 
 
@@ -135,17 +138,18 @@ def cage_around_mesh(
         raise InputError(f"the mesh is not finite: vertex {row} is {vertices[row].tolist()}")
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError(f"the mesh's faces must be (f, 3) indices from 0 to {len(vertices) - 1}")
-    size = np.ptp(vertices, axis=0).max()
+    lower, upper = bounds_of(vertices)
+    size = (upper - lower).max()
     if size == 0.0:
         raise InputError("the mesh has no extent: all its vertices are in one place")
     margin = checked_number(0.01 * size if margin is None else margin, "margin", 0.0)
-    spacing = voxel_spacing(np.ptp(vertices, axis=0), vertex_count)
+    spacing = voxel_spacing(upper - lower, vertex_count)
     points = np.concatenate([vertices, surface_points(vertices, faces, 0.5 * spacing)])
     slack = 0.29 * spacing  # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
     if len(points) > _MAX_POINTS:  # long, narrow faces: a point stands for those less than a diagonal away
-        cell = np.floor((points - points.min(axis=0)) / (0.1 * spacing)).astype(np.int64)
+        cell = np.floor((points - bounds_of(points)[0]) / (0.1 * spacing)).astype(np.int64)
         # numbered row by row: sorted in a fraction of the time of rows of three
-        _, one = np.unique(np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1)), return_index=True)
+        _, one = np.unique(np.ravel_multi_index(tuple(cell.T), tuple(bounds_of(cell)[1] + 1)), return_index=True)
         points, slack = points[one], slack + np.sqrt(3.0) * 0.1 * spacing
     return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry, progress)
 
@@ -170,7 +174,8 @@ def cage_around_field(
     points = visible_nodes(field, threshold)
     if not len(points):
         raise InputError("the field shows nothing to put a cage around: lower the threshold")
-    extent = np.maximum(np.ptp(points, axis=0), voxel_size)
+    lower, upper = bounds_of(points)
+    extent = np.maximum(upper - lower, voxel_size)
     # a grid no finer than the field's, or its empty lines between nodes would count as gaps
     spacing = max(voxel_spacing(extent, vertex_count), voxel_size.max())
     corner = 0.5 * float(np.linalg.norm(voxel_size))
@@ -194,29 +199,35 @@ def _cage_around_points(
     else:
         makers = {method: makers[method]}
     # in units of the object, about its middle, without the last digits: neither scale nor place may decide a tie
-    middle, size = 0.5 * (points.min(axis=0) + points.max(axis=0)), float(np.ptp(points, axis=0).max()) or spacing
+    lower, upper = bounds_of(points)
+    middle, size = 0.5 * (lower + upper), float((upper - lower).max()) or spacing
     points = np.round((points - middle) / size, 9)
     spacing, slack, margin = (float(np.round(length / size, 9)) for length in (spacing, slack + 2e-9 * size, margin))
-    found, reasons = [], []
-    for name, make in makers.items():
-        _log.info("%s: %d points, to be enclosed by %d vertices", name, len(points), vertex_count)
-        report_progress(progress, len(found), len(makers), f"cage: {name}")
+    voxels, names = ObjectVoxels(points, spacing, slack + margin), list(makers)
+
+    def made(name: str, progress: bool | Progress) -> ClosedMesh | str:
+        """The cage of a method, or why there is none."""
         try:
-            cage = make(points, spacing, slack, margin, vertex_count, symmetry, progress)
-        except ValueError as error:
-            reasons.append(f"{name}: {error}")
-            _log.info("%s: none (%s)", name, error)
-            continue
-        cage = cage.with_vertices(middle + size * cage.vertices)
-        if floor is not None:
-            try:
+            cage = makers[name](voxels, vertex_count, symmetry, progress)
+            cage = cage.with_vertices(middle + size * cage.vertices)
+            if floor is not None:
                 cage = cage.with_vertices(ended_at(floor, cage, middle + size * points, size * spacing))
-            except ValueError as error:
-                reasons.append(f"{name}: {error}")
-                _log.info("%s: none (%s)", name, error)
-                continue
+        except ValueError as error:
+            _log.info("%s: none (%s)", name, error)
+            return f"{name}: {error}"
         _log.info("%s: %d vertices, volume %.4g", name, len(cage.vertices), cage.volume)
-        found.append(cage)
+        return cage
+
+    _log.info("%s: %d points, to be enclosed by %d vertices", " and ".join(names), len(points), vertex_count)
+    report_progress(progress, 0, len(names), f"cage: {names[0]}")
+    if len(names) == 1 or cpu_threads() == 1:
+        results = [made(name, progress) for name in names]
+    else:  # each leaves a core to the other for most of its time; reports come from the caller's thread
+        with ThreadPoolExecutor(len(names) - 1) as others:
+            later = [others.submit(made, name, False) for name in names[1:]]
+            results = [made(names[0], progress), *(each.result() for each in later)]
+    found = [cage for cage in results if not isinstance(cage, str)]
+    reasons = [reason for reason in results if isinstance(reason, str)]
     if not found:
         raise InputError(
             f"no cage of {vertex_count} vertices could be made ({'; '.join(reasons)}): ask for more "
@@ -228,16 +239,16 @@ def _cage_around_points(
 
 def simplified_cage(vertices, faces, points, spacing, need, vertex_count) -> tuple[np.ndarray, np.ndarray]:
     """A cage decimated outward, or else plainly, then moved off points (p, 3) where faces come nearer than `need`."""
-    reasons = []
+    voxels, reasons = ObjectVoxels(points, spacing, need), []
     for decimate, closing in ((progressive_hull, 0.0), *((decimated, each) for each in (0.05, 0.1, 0.2, 0.4))):
-        reach = need + max(2.0 * spacing, closing * np.ptp(points, axis=0).max())
-        shell = ObjectShell(points, spacing, reach, need)
+        reach = need + max(2.0 * spacing, closing * voxels.size)
+        shell = ObjectShell(voxels, reach)
         found, triangles = decimate(vertices, faces, vertex_count)
         if abs(len(found) - vertex_count) > 0.1 * vertex_count:
             reasons.append(f"decimation left {len(found)} vertices")
             continue
-        found = cleared(shell, found, triangles, need)
-        reason = flaw(shell, found, triangles, need)
+        found, clear = cleared(shell, found, triangles, need)
+        reason = flaw(shell, found, triangles) if clear else NOT_CLEAR
         if not reason:
             return found, triangles
         reasons.append(reason)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures
-import functools
 import importlib
-import math
 import sys
 import threading
 from typing import Any
@@ -13,206 +11,27 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...core.devices import launch, resolve_device
+from ...core.devices import launch
 from ...core.names import error_line
-from ...core.threads import cpu_threads
+from ...core.reports import Progress
 from ...errors import InputError, MissingPackageError
-from ...kernels.mesh.shell import look_up, look_up_directions, look_up_faces, measure_nearest
+from ...kernels.mesh.crossings import count_crossings
 from ...mesh.mesh import ClosedMesh
-from ...mesh.queries import inside_mesh, intersecting_faces
+from ...mesh.queries import intersecting_faces
 from ...mesh.validity import require_usable, winding_numbers
 from ..shapes import box
 from .decimate import on_cpu, progressive_hull
-from .fit import cleared, drawn_close, shortfall, spread
-
-#: Steps of a look-up, and of a search for the nearest point, as `launch` counts them.
-_LOOK_UP_WORK, _SEARCH_WORK = 1, 128
-
-#: How much farther than asked for is searched, so that rounding leaves what is given for the rest above it.
-_BEYOND = 1.0 + 1e-9
-
-
-class ObjectShell:
-    """Distances around a solid given by points (p, 3), world units, in a grid that reaches `reach` beyond them.
-    Points leave no hole wider than `spacing`, a voxel's side; near `need`, a cage's distance, distances are exact."""
-
-    def __init__(self, points: np.ndarray, spacing: float, reach: float, need: float):
-        import scipy.ndimage
-        import skimage.filters
-        import skimage.measure
-
-        self.spacing, self.reach = float(spacing), float(reach)  # closing radius: fills gaps narrower than twice that
-        radius = int(np.ceil(reach / spacing)) + 3
-        # centre of voxel 0; the object's bounds, and points a voxel apart from there on, lie in the middle of voxels,
-        # where last digits do not decide which voxel is theirs
-        self.lower = points.min(axis=0) - radius * spacing
-        cell = np.floor((points - self.lower) / spacing + 0.5).astype(np.int64)
-        self.solid = np.zeros(cell.max(axis=0) + radius + 2, dtype=bool)
-        self.solid[tuple(cell.T)] = True
-
-        deep = np.asarray(scipy.ndimage.binary_erosion(self.solid, np.ones((3, 3, 3), dtype=bool), iterations=2), bool)
-        near = np.flatnonzero(~deep[tuple(cell.T)])  # what lies two voxels below the skin is nearest to nothing outside
-        places = np.asarray(np.ravel_multi_index(tuple(cell[near].T), self.solid.shape))
-        one = first_of_each(places, self.solid.size)
-        self.skin = points[near[one]]  # (n, 3) one in each voxel less than two voxels from free space
-        # from far off a search among all points is slow and more than is needed: voxels stand for those they hold
-        self._coarse = np.sqrt(0.75) * spacing if need > 6.0 * spacing else 0.0
-        self._search = (
-            NearestInTree(self.lower + cell[near[one]] * spacing)
-            if self._coarse
-            else NearestInVoxels(points[near], places, self.solid.shape, self.lower, spacing)
-        )
-        self.distance = self._distances(radius, need, deep)  # (nx, ny, nz) from voxel centres to the nearest point
-        beyond = self.distance > reach
-        parts = np.asarray(skimage.measure.label(beyond, connectivity=1))
-        outside = parts == parts[0, 0, 0]  # the corner is free, so cavities of the dilated object are not part of it
-        # by the triangle inequality reach - inward never exceeds the distance to the object; the voxel nearest to the
-        # true rim of what is outside may lie half a diagonal behind it, which would keep cages so much farther off
-        inward = distance_to(outside, radius) * spacing - np.sqrt(0.75) * spacing
-        # signed distance to the object closed by a ball of radius `reach` (Serra 1982), never above `distance`
-        self.closed = np.where(outside, self.distance, np.minimum(self.distance, reach - inward)).astype(np.float64)
-        self.smooth = skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)  # surface and slopes
-        self._closed = on_cpu(self.closed, wp.float64)
-        self._slope = [on_cpu(np.asarray(slope), wp.float64) for slope in np.gradient(self.smooth, spacing)]
-        self._grid = (wp.vec3d(*self.lower), wp.float64(self.spacing))
-
-    def _distances(self, radius: int, need: float, deep) -> np.ndarray:
-        """Exact within a voxel of `need`, between voxel centres from 2.5 on, 0 deep inside; mixed in between."""
-        distance = distance_to(self.solid, radius).astype(np.float64) * self.spacing
-        far = np.clip(np.abs(distance - need) / self.spacing - 1.0, 0.0, 1.5) / 1.5
-        near = (far < 1.0) & ~deep
-        # points lie at most half a diagonal from the middle of their voxel
-        about = distance[near] + np.sqrt(0.76) * self.spacing
-        exact = self.exact_distance(self.lower + np.argwhere(near) * self.spacing, about)
-        distance[near] = (1.0 - far[near]) * exact + far[near] * np.minimum(distance[near], exact)
-        return distance
-
-    def surface(self, level: float, step: int = 1) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (v, 3), world units, and outward faces (f, 3) of the closed object's offset by `level`.
-        `step`: voxels a side of the cubes that are marched."""
-        import skimage.measure
-
-        nodes, faces, _, _ = skimage.measure.marching_cubes(self.smooth, level=level, step_size=step)
-        nodes = nodes.astype(np.float64)
-        a, b, c = (nodes[faces[:, k]] for k in range(3))
-        if np.einsum("fi,fi->", a, np.cross(b, c)) < 0.0:
-            faces = faces[:, ::-1]
-        return self.lower + nodes * self.spacing, np.ascontiguousarray(faces)
-
-    def closed_distance(self, x: np.ndarray) -> np.ndarray:
-        """`closed` at points x (..., 3), trilinear; beyond the grid its value at the grid's edge."""
-        found = np.empty(x.shape[:-1])
-        inputs = [on_cpu(x.reshape(-1, 3), wp.vec3d), self._closed, *self._grid]
-        launch(look_up, found.size, inputs, [on_cpu(found.reshape(-1), wp.float64)], device="cpu", work=_LOOK_UP_WORK)
-        return found
-
-    def closed_distance_on_faces(self, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """`closed` at the samples (f, s) of barycentric weights (s, 3) on faces (f, 3), as `points_on` has them."""
-        found = np.empty((len(faces), len(weights)))
-        inputs = [on_cpu(vertices, wp.vec3d), on_cpu(faces.astype(np.int32), wp.vec3i), on_cpu(weights, wp.vec3d)]
-        inputs += [self._closed, *self._grid]
-        work = _LOOK_UP_WORK * len(weights)
-        launch(look_up_faces, len(faces), inputs, [on_cpu(found, wp.float64)], device="cpu", work=work)
-        return found
-
-    def exact_distance(self, x: np.ndarray, about: np.ndarray, most: float = math.inf) -> np.ndarray:
-        """(n,) distance from x (n, 3) to the object's skin, up to 1.8 voxels less where `need` is more than six voxels.
-        `about` (n,): how far it likely is at most; beyond `most` any larger number may come. Both only save time."""
-        about, beyond = np.maximum(about, 0.5 * self.spacing), (most + self._coarse) * _BEYOND
-        return np.maximum(self._search.distance(x, about, beyond) - self._coarse, 0.0)
-
-    def outward(self, x: np.ndarray) -> np.ndarray:
-        """Unit directions (n, 3) in which `closed` grows fastest at x (n, 3); zero where it is flat."""
-        found = np.empty(x.shape)
-        inputs = [on_cpu(x, wp.vec3d), *self._slope, *self._grid]
-        work = 3 * _LOOK_UP_WORK
-        launch(look_up_directions, len(x), inputs, [on_cpu(found, wp.vec3d)], device="cpu", work=work)
-        return found
-
-    @functools.cached_property
-    def inside_parts(self) -> np.ndarray:
-        """(k, 3) centre of one voxel of each connected part of the object: the one nearest to the part's middle."""
-        import skimage.measure
-
-        parts = np.asarray(skimage.measure.label(self.solid, connectivity=3))
-        cells = np.argwhere(self.solid)
-        part = parts[tuple(cells.T)] - 1
-        count = np.bincount(part)
-        # a corner of a part would be half outside, and the first to be left out by what can still be moved
-        middle = np.stack([np.bincount(part, weights=cells[:, k]) for k in range(3)], axis=1) / count[:, None]
-        # in whole numbers of 1e-6: cells at one distance are taken by their order, not by last digits
-        off = np.round(((cells - middle[part]) ** 2).sum(axis=1), 6)
-        order = np.lexsort((off, part))
-        return self.lower + cells[order[np.cumsum(count) - count]] * self.spacing
-
-
-class NearestInVoxels:
-    """Distances to the nearest of points (p, 3) that lie in voxels places (p,) of a grid, numbered row by row."""
-
-    def __init__(self, points, places, shape, lower, spacing):
-        starts = np.zeros(math.prod(shape) + 1, dtype=np.int32)
-        np.cumsum(np.bincount(places, minlength=len(starts) - 1), out=starts[1:])
-        resolve_device("cpu")  # starts Warp
-        self._inputs = [
-            on_cpu(points[np.argsort(places, kind="stable")], wp.vec3d),
-            on_cpu(starts, wp.int32),
-            wp.vec3i(*shape),
-            wp.vec3d(*lower),
-            wp.float64(spacing),
-        ]
-
-    def distance(self, x: np.ndarray, about: np.ndarray, most: float = math.inf) -> np.ndarray:
-        """(n,) distance from x (n, 3) to the nearest point, to the same bits as SciPy's KDTree; about (n,) > 0: where
-        the search begins; most > 0: where it ends."""
-        found = np.empty(len(x))
-        inputs = [on_cpu(x, wp.vec3d), on_cpu(about, wp.float64), wp.float64(most), *self._inputs]
-        launch(measure_nearest, len(x), inputs, [on_cpu(found, wp.float64)], device="cpu", work=_SEARCH_WORK)
-        return found
-
-
-class NearestInTree:
-    """Distances to the nearest of points (p, 3), however far they are."""
-
-    def __init__(self, points):
-        import scipy.spatial
-
-        # large leaves and no balancing: built in half the time and searched in less, for the same distances
-        self._tree = scipy.spatial.KDTree(points, leafsize=32, balanced_tree=False)
-
-    def distance(self, x: np.ndarray, about: np.ndarray, most: float = math.inf) -> np.ndarray:
-        """(n,) distance from x (n, 3) to the nearest point; infinite where it is more than `most`."""
-        return self._tree.query(x, distance_upper_bound=most, workers=cpu_threads())[0]
-
-
-def first_of_each(numbers: np.ndarray, count: int) -> np.ndarray:
-    """Index of the first of each of the numbers (n,), 0 to count - 1, in the order of the numbers."""
-    first = np.full(count, -1)
-    first[numbers[::-1]] = np.arange(len(numbers))[::-1]  # of several values at one place the last stays
-    return first[first >= 0]
-
-
-def distance_to(mask: np.ndarray, radius: int) -> np.ndarray:
-    """Euclidean distance in voxels from each voxel centre to the nearest one of `mask`, at most `radius`; float32."""
-    # the smaller the numbers, the more of them pass at once; a sum of two is the largest
-    kind = np.uint16 if 2 * radius * radius < 2**16 else np.uint32
-    squared = np.where(mask, kind(0), kind(radius * radius))
-    farther = np.empty_like(squared)
-    for axis in range(3):  # exact and separable: along one axis after the other (Saito and Toriwaki 1994)
-        rows = np.moveaxis(squared, axis, 0)
-        nearest, room = rows.copy(order="K"), np.moveaxis(farther, axis, 0)
-        for step in range(1, min(radius, len(rows) - 1) + 1):
-            np.add(rows, kind(step * step), out=room)
-            np.minimum(nearest[step:], room[:-step], out=nearest[step:])
-            np.minimum(nearest[:-step], room[step:], out=nearest[:-step])
-        squared = np.moveaxis(nearest, 0, axis)
-    return np.sqrt(np.ascontiguousarray(squared).astype(np.float32))
-
+from .distance import ObjectShell, ObjectVoxels
+from .fit import cleared, drawn_close, spread
 
 #: Closing radii tried, in lengths of the cage's edges: the first gives the tightest cage.
 CLOSINGS = (0.45, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0)
 
 #: Share of the way from `need` to the closing radius at which the surface to decimate lies.
 _START = 0.4
+
+#: Cubes along a cage's edge where that surface is marched, and voxels along a cube at most.
+_CUBES, _MAX_STEP = 4, 4
 
 #: Voxels off the object where the smoothed distance has a surface, whatever the object: smoothing over one voxel lifts
 #: the distance to a sheet, a line and a point to 0.8, 1.3 and 1.6 at the object itself.
@@ -222,7 +41,9 @@ _MIN_LEVEL = 1.8
 #: close; and the rounds tried where nothing else holds: the surface given holds the object by construction.
 _ROUNDS, _DRAWN, _LAST_ROUNDS = (25, 10, 4), (1.0, 0.75, 0.5, 0.25, 0.0), (0,)
 
-#: What is wrong with a cage that is neither spread evenly nor drawn: it holds, but a wider closing may be tighter.
+#: What is wrong with a cage that cannot be cleared, and with one that is neither spread evenly nor drawn: it holds, but
+#: a wider closing may be tighter.
+NOT_CLEAR = "its faces cannot be kept off the object"
 _LOOSE = "it could not be drawn close"
 
 #: Vertices of the surface that a progressive hull begins with, for each that it leaves, and whether the last rounds are
@@ -230,11 +51,10 @@ _LOOSE = "it could not be drawn close"
 _ATTEMPTS = ((6, False), (9, False), (4, False), (6, True))
 
 
-def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None, progress=False) -> ClosedMesh:
-    """Try ever wider closings until a cage comes out that holds; slack: how far the object may lie off its points."""
-    size = np.ptp(points, axis=0).max()
-    need = slack + margin
-    shell = ObjectShell(points, spacing, need + max(0.06 * size, 2.0 * spacing), need)
+def shell_cage(voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress: bool | Progress = False) -> ClosedMesh:
+    """Try ever wider closings until a cage comes out that holds."""
+    points, spacing, need = voxels.points, voxels.spacing, voxels.need
+    shell = ObjectShell(voxels, need + max(0.06 * voxels.size, 2.0 * spacing))
     edge = edge_length(shell, max(need, _MIN_LEVEL * spacing), vertex_count)
     reasons = []
     for fine, last in _ATTEMPTS:
@@ -242,9 +62,13 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None, prog
         for closing in CLOSINGS:
             coarse = max(spacing, closing * edge / 16.0)  # wide closings need no fine voxels
             room = max(closing * edge, 2.0 * coarse, (_MIN_LEVEL * coarse - need) / _START)
-            shell = ObjectShell(points, coarse, need + room, need)
-            step = 2 if edge > 8.0 * coarse else 1
-            start = decimated(*shell.surface(need + _START * (shell.reach - need), step), fine * vertex_count)
+            if coarse > voxels.spacing:
+                voxels = ObjectVoxels(points, coarse, need)
+            shell = ObjectShell(voxels, need + room)
+            level = need + _START * room
+            # cubes with a node in each ball of the level's radius: nothing thin is missed
+            step = int(np.clip(min(edge / _CUBES, level) / coarse, 1, _MAX_STEP))
+            start = decimated(*shell.surface(level, step), fine * vertex_count)
             cage, reason = sound(
                 shell, *progressive_hull(*start, vertex_count, progress), need, vertex_count, last=last
             )
@@ -255,15 +79,17 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None, prog
         if found:
             return min(found, key=lambda cage: cage.volume)
     # no closing is wider than a box, which holds as it is
-    cage, reason = sound(shell, *split_box(points, 1.5 * shell.reach, vertex_count), need, vertex_count, last=True)
+    cage, reason = sound(
+        shell, *split_box(voxels.bounds, 1.5 * shell.reach, vertex_count), need, vertex_count, last=True
+    )
     if cage is None:
         raise InputError(f"{reason}; before: {', '.join(dict.fromkeys(reasons))}")
     return cage
 
 
-def split_box(points, room, vertex_count) -> tuple[np.ndarray, np.ndarray]:
-    """The box `room` off points (p, 3), its longest edges split in the middle up to `vertex_count` vertices."""
-    corners, triangles = box(points.min(axis=0) - room, points.max(axis=0) + room)
+def split_box(bounds, room, vertex_count) -> tuple[np.ndarray, np.ndarray]:
+    """The box `room` off bounds (2, 3), its longest edges split in the middle up to `vertex_count` vertices."""
+    corners, triangles = box(bounds[0] - room, bounds[1] + room)
     vertices, faces = list(corners), [tuple(face) for face in triangles.tolist()]
     while len(vertices) < vertex_count:
         edges = np.array([(face[k], face[(k + 1) % 3]) for face in faces for k in range(3)])
@@ -298,31 +124,58 @@ def sound(shell, vertices, faces, need, vertex_count, mirror=None, last=False) -
             vertices = even + share * (close - even)
             reason = tangle(shell, vertices, faces)
             if not reason:
-                vertices = cleared(shell, vertices, faces, need, mirror)
-                reason = flaw(shell, vertices, faces, need)
+                vertices, clear = cleared(shell, vertices, faces, need, mirror)
+                reason = flaw(shell, vertices, faces) if clear else NOT_CLEAR
             if not reason:
                 return ClosedMesh(vertices, faces), _LOOSE if rounds < _ROUNDS[0] and share == 0.0 else ""
         reasons.append(reason)
     return None, reasons[0]
 
 
-def flaw(shell, vertices, faces, need) -> str:
-    """Why a cage does not hold; empty when it does."""
+def flaw(shell, vertices, faces) -> str:
+    """Why a cage whose faces keep off the object does not hold; empty when it does."""
     cage = ClosedMesh(vertices, faces)
     try:
         require_usable(cage, "it")
     except ValueError as error:
         return str(error)
-    if shortfall(shell, vertices, faces, cage.edges, need).max() > 0.0:
-        return "its faces cannot be kept off the object"
-    if not inside_mesh(shell.skin, cage).all():
+    if (crossings(shell.voxels.skin, vertices, faces) < 1).any():
         return "it leaves a part of the object out"
     return tangle(shell, vertices, faces)
 
 
+#: A turn about an axis such that no edge of an object, or row of points, is along a ray or under another.
+_ASKEW = np.linalg.qr(np.array([[0.83, 0.31, -0.17], [-0.29, 0.71, 0.43], [0.37, -0.23, 0.91]]))[0]
+
+#: Strips that the faces are sorted in for rays.
+_STRIPS = 64
+
+
+def crossings(points, vertices, faces) -> np.ndarray:
+    """(n,) winding number of a closed mesh about points (n, 3), none of which is on a face."""
+    points, vertices = np.matmul(points, _ASKEW), np.matmul(vertices, _ASKEW)
+    corners = vertices[faces][:, :, :2]
+    boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
+    lower = float(boxes[:, 0].min())
+    width = float(boxes[:, 2].max() - lower) * (1.0 + 1e-9) / _STRIPS
+    begin, end = (np.floor((boxes[:, k] - lower) / width).astype(np.int64) for k in (0, 2))
+    counts = end - begin + 1
+    face = np.repeat(np.arange(len(faces)), counts)
+    strips = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts - begin, counts)
+    starts = np.zeros(_STRIPS + 1, dtype=np.int32)
+    np.cumsum(np.bincount(strips, minlength=_STRIPS), out=starts[1:])
+    found = np.empty(len(points), dtype=np.int32)
+    inputs = [on_cpu(points, wp.vec3d), on_cpu(vertices, wp.vec3d), on_cpu(faces.astype(np.int32), wp.vec3i)]
+    inputs += [on_cpu(boxes, wp.vec4d), on_cpu(starts, wp.int32)]
+    inputs += [on_cpu(face[np.argsort(strips, kind="stable")].astype(np.int32), wp.int32)]
+    inputs += [wp.float64(lower), wp.float64(width)]
+    launch(count_crossings, len(points), inputs, [on_cpu(found, wp.int32)], device="cpu", work=len(faces) / 8)
+    return found
+
+
 def tangle(shell, vertices, faces) -> str:
     """What moving it a little will not mend; empty where nothing is."""
-    if (winding_numbers(shell.inside_parts, vertices, faces) < 0.5).any():
+    if (winding_numbers(shell.voxels.inside_parts, vertices, faces) < 0.5).any():
         return "it leaves a part of the object out"
     if len(intersecting_faces(vertices, faces)):
         return "it passes through itself"

@@ -7,11 +7,13 @@ import itertools
 
 import numpy as np
 
+from ...core.reports import Progress
 from ...errors import InputError
 from ...mesh.mesh import ClosedMesh
 from .decimate import progressive_hull
+from .distance import ObjectShell, ObjectVoxels, bounds_of
 from .fit import row_sums
-from .shell import ObjectShell, sound
+from .shell import sound
 
 #: Sizes of voxels tried, as shares of the longest side; and closing radii, in voxels.
 _SIZES = np.geomspace(0.9, 0.012, 140)
@@ -25,23 +27,29 @@ _EQUAL_SPREAD = 1e-3
 _ASIDE = 1e-6
 
 
-def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None, progress=False) -> ClosedMesh:
-    """A cage of about `vertex_count` vertices around points (p, 3), its faces `margin` off what lies within `slack`.
-    `spacing`: side of the voxels for distances; `symmetry`: normal of a mirror plane through the points' middle."""
+def voxel_cage(voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress: bool | Progress = False) -> ClosedMesh:
+    """A cage of about `vertex_count` vertices around an object.
+    `symmetry`: normal of a mirror plane through the middle of its points."""
+    import scipy.ndimage
+
+    points, spacing, need = voxels.points, voxels.spacing, voxels.need
     axis, middle = None if symmetry is None else "xyz".index(symmetry), 0.0
     if axis is not None:
         middle = 0.5 * (points[:, axis].min() + points[:, axis].max())
         points = np.concatenate([points, points])
         points[len(points) // 2 :, axis] = 2.0 * middle - points[len(points) // 2 :, axis]
+        voxels = ObjectVoxels(points, spacing, need)
     frame = np.eye(3) if axis is not None else principal_frame(points)  # with a mirror plane the world's
-    need = slack + margin
     side, reasons = None, []
     for last in (False, True):
         found = []
         for closing in _CLOSINGS:
             reach = need + max(2.0 * spacing, 0.0 if side is None else closing * side)
-            shell = ObjectShell(points, spacing, min(reach, need + 40.0 * spacing), need)
-            solid = np.argwhere(shell.closed <= need + 0.5 * spacing) * spacing + shell.lower
+            shell = ObjectShell(voxels, min(reach, need + 40.0 * spacing))
+            solid = shell.closed <= need + 0.5 * spacing
+            # what lies within its skin marks nothing that is not filled
+            solid &= ~np.asarray(scipy.ndimage.binary_erosion(solid, np.ones((3, 3, 3), bool)), bool)
+            solid = np.argwhere(solid) * spacing + shell.lower
             side, marks, lower = _searched(np.matmul(solid, frame), vertex_count, axis, spacing)
             nodes, faces = outer_surface(marks, axis)
             vertices = np.matmul(lower + nodes * side, frame.T)
@@ -84,7 +92,7 @@ def principal_frame(points: np.ndarray) -> np.ndarray:
 def _searched(solid, vertex_count, axis, least):
     """Side, marks (nx, ny, nz) and lower corner of the voxels whose outer surface has the count nearest to that asked
     for; where none is within a tenth, the coarsest that has more. solid: (s, 3) points in the frame."""
-    low, high = solid.min(axis=0), solid.max(axis=0)
+    low, high = bounds_of(solid)
     above, near, close = None, None, []
     for side in (high - low).max() * _SIZES:
         if side < 2.0 * least:
