@@ -30,6 +30,9 @@ CLOSINGS = (0.45, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0)
 #: Share of the way from `need` to the closing radius at which the surface to decimate lies.
 _START = 0.4
 
+#: Side of voxels, in those that there are, from which other ones are made.
+_WORTH = 1.5
+
 #: Cubes along a cage's edge where that surface is marched, and voxels along a cube at most.
 _CUBES, _MAX_STEP = 4, 4
 
@@ -60,9 +63,11 @@ def shell_cage(voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress:
     for fine, last in _ATTEMPTS:
         found = []
         for closing in CLOSINGS:
-            coarse = max(spacing, closing * edge / 16.0)  # wide closings need no fine voxels
+            coarse = closing * edge / 16.0  # wide closings need no fine voxels
+            if coarse < _WORTH * spacing:
+                coarse = spacing
             room = max(closing * edge, 2.0 * coarse, (_MIN_LEVEL * coarse - need) / _START)
-            if coarse > voxels.spacing:
+            if coarse != voxels.spacing:
                 voxels = ObjectVoxels(points, coarse, need)
             shell = ObjectShell(voxels, need + room)
             level = need + _START * room
