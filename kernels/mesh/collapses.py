@@ -53,6 +53,7 @@ class CollapseRules:
 
     side: wp.float64  # of the faces to come: the unit of lengths
     on_plane: wp.float64  # sides by which a place may lie behind a plane
+    most_lift: wp.float64  # sides that a place may lie beyond its base
     least_turn: wp.float64  # cosine of how far a face may turn
     least_even: wp.float64  # evenness of a face, 1 for equilateral
     side_cost: wp.float64  # room, in cubes of the side, of a face's longest side, and of its being uneven
@@ -216,7 +217,7 @@ def measure_collapses(
         if k == 3:
             base = meeting
         lift = lifted(planes, rules, u, v, base, mean)
-        if lift >= ZERO:
+        if lift >= ZERO and lift <= rules.most_lift * rules.side:
             place = base + lift * mean
             cost = room_added(planes, u, v, place) / (rules.side * rules.side * rules.side)
             if cost < best:  # a shape only adds to it

@@ -190,9 +190,13 @@ def smooth_vertices(
     vertices: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=wp.vec3i),
     share: wp.float64,
+    grid: DistanceGrid,
+    limit: wp.float64,
+    inward: wp.float64,
     places: wp.array(dtype=wp.vec3d),
 ):
-    """Places (v,) of vertices (v,) a share of the way to the mean of their neighbours, along the surface only."""
+    """Places (v,) of vertices (v,) a share of the way to the mean of their neighbours, along the surface only; of those
+    farther off the object than the limit a share `inward` along its normal too, as far as that is inward."""
     v = first + wp.tid()
     x = vertices[v]
     total = wp.vec3d()
@@ -208,5 +212,11 @@ def smooth_vertices(
         places[v] = x
         return
     normal = unit(normal)
-    step = share * (total / wp.float64(count) - x)
-    places[v] = x + step - wp.dot(step, normal) * normal
+    step = total / wp.float64(count) - x
+    along = wp.dot(step, normal)
+    place = x + share * (step - along * normal)
+    if along < ZERO:
+        beyond = grid_distance(grid, grid_place(grid, x)) - limit
+        if beyond > ZERO:
+            place += wp.max(inward * along, -beyond) * normal
+    places[v] = place

@@ -70,6 +70,29 @@ def test_a_cage_of_a_ball_is_tight_and_even():
     assert sides.max() < 3.0 * sides.min()
 
 
+def two_arms():
+    """A body with thin arms at its sides, which spikes of little volume would stand off from."""
+    make, turned = trimesh.creation, trimesh.transformations.rotation_matrix
+    parts = [make.capsule(1.2, 0.35)]
+    for side in (-1, 1):
+        arm = make.capsule(1.0, 0.1).apply_transform(turned(0.25 * side, [0, 1, 0]))
+        shoulder = make.capsule(0.3, 0.1).apply_transform(turned(np.pi / 2, [0, 1, 0]))
+        parts.append(arm.apply_translation([0.62 * side, 0, 0.1]))
+        parts.append(shoulder.apply_translation([0.3 * side - 0.15, 0, 1.2]))
+    return join(*parts)
+
+
+@pytest.mark.parametrize("count", [42, pytest.param(100, marks=pytest.mark.nightly)])
+def test_no_vertex_stands_far_off(count):
+    mesh = two_arms()
+    cage = Cage.from_mesh(mesh, count, method="shell")
+    corners = cage.vertices[cage.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    points = np.concatenate([mesh.vertices, mesh.sample(3000, seed=0)])
+    off = np.linalg.norm(points[None] - cage.vertices[:, None], axis=2).min(axis=1)
+    assert off.max() < 0.6 * np.sqrt(area / count)  # 0.76 before vertices were drawn in
+
+
 def test_an_open_pot_is_filled():
     pot = trimesh.creation.icosphere(subdivisions=3)
     pot = trimesh.Trimesh(pot.vertices, pot.faces[pot.triangles_center[:, 2] < 0.95], process=False)  # a hole on top

@@ -78,7 +78,10 @@ def collapse_in_numpy(vertices, faces, edge, side):
         short = below > 1e-9 * side
         if (climb[short] < 0.05).any():
             continue
-        place = base + (below[short] / climb[short]).max(initial=0.0) * mean
+        lift = (below[short] / climb[short]).max(initial=0.0)
+        if lift > side:
+            continue
+        place = base + lift * mean
         cost = (double_area * (normals @ place - offsets)).sum() / 6.0 / side**3
         kept = [k for k, f in enumerate(around) if f not in of_u & of_v]
         corners = np.where(np.isin(faces[around], edge)[..., None], place, vertices[faces[around]])[kept]

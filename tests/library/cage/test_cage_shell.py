@@ -166,6 +166,19 @@ def test_smoothing_stays_along_the_surface(shell):
     assert np.allclose(held.vertices, vertices + step - (step * normals).sum(axis=1, keepdims=True) * normals)
 
 
+def test_vertices_far_off_go_inward_too(shell):
+    vertices, faces = ball(1.3)
+    vertices[0] *= 1.2  # a spike
+    held = [HeldFaces(shell, vertices, faces, 0.2) for _ in range(2)]
+    held[0].smooth(0.0, 0.35, 0.3)
+    held[1].smooth(0.0)
+    off = looked_up(shell, shell.closed, vertices)
+    assert off[0] > 0.35 > off[1:].max()
+    moved = np.linalg.norm(held[0].vertices - vertices, axis=1) > 0.0
+    assert moved[0] and not moved[1:].any() and np.allclose(held[1].vertices, vertices)
+    assert looked_up(shell, shell.closed, held[0].vertices[:1])[0] < off[0]
+
+
 def test_crossings_of_rays_are_winding_numbers():
     torus = trimesh.creation.torus(1.0, 0.3, major_sections=16, minor_sections=8)
     inner, outer = ball(0.2), ball(0.9, 0)

@@ -21,7 +21,7 @@ from ...select.selection import visible_nodes
 from .decimate import progressive_hull
 from .distance import ObjectShell, ObjectVoxels, bounds_of
 from .fit import cleared, face_samples, row_sums
-from .shell import NOT_CLEAR, decimated, flaw, shell_cage
+from .shell import NOT_CLEAR, decimated, flaw, shell_cage, strays
 from .voxel import voxel_cage
 
 _log = logging.getLogger(__name__)
@@ -126,6 +126,7 @@ def cage_around_mesh(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a cage of about `vertex_count` vertices around a mesh; see `Cage.from_mesh`.
     `margin`: least distance between cage and mesh, world units; None takes 1 % of the mesh's size."""
+    # vertices lie within 1.75 (margin + slack) + 1.5 sqrt(area / count) of it, where any attempt keeps to that
     vertex_count = checked_count(vertex_count)
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise InputError(f"a mesh must have vertices and faces, as a trimesh.Trimesh, got {type(mesh).__name__}")
@@ -203,12 +204,13 @@ def _cage_around_points(
     middle, size = 0.5 * (lower + upper), float((upper - lower).max()) or spacing
     points = np.round((points - middle) / size, 9)
     spacing, slack, margin = (float(np.round(length / size, 9)) for length in (spacing, slack + 2e-9 * size, margin))
-    voxels, names = ObjectVoxels(points, spacing, slack + margin), list(makers)
+    voxels, names, strayed = ObjectVoxels(points, spacing, slack + margin), list(makers), {}
 
     def made(name: str, progress: bool | Progress) -> ClosedMesh | str:
         """The cage of a method, or why there is none."""
         try:
             cage = makers[name](voxels, vertex_count, symmetry, progress)
+            strayed[name] = strays(voxels, cage)
             cage = cage.with_vertices(middle + size * cage.vertices)
             if floor is not None:
                 cage = cage.with_vertices(ended_at(floor, cage, middle + size * points, size * spacing))
@@ -226,14 +228,14 @@ def _cage_around_points(
         with ThreadPoolExecutor(len(names) - 1) as others:
             later = [others.submit(made, name, False) for name in names[1:]]
             results = [made(names[0], progress), *(each.result() for each in later)]
-    found = [cage for cage in results if not isinstance(cage, str)]
+    found = {name: cage for name, cage in zip(names, results, strict=True) if not isinstance(cage, str)}
     reasons = [reason for reason in results if isinstance(reason, str)]
     if not found:
         raise InputError(
             f"no cage of {vertex_count} vertices could be made ({'; '.join(reasons)}): ask for more "
             "vertices, a smaller margin, or begin with a box"
         )
-    best = min(found, key=lambda cage: cage.volume)
+    best = found[min(found, key=lambda name: (strayed[name], found[name].volume))]
     return best.vertices, best.faces
 
 

@@ -31,6 +31,10 @@ _LEVEL = 0.1
 #: Share of the way to the mean of its neighbours that a vertex goes in the first round; it sinks to 0 with the rounds.
 _SPREAD_SMOOTHING, _DRAWN_SMOOTHING = 0.3, 0.1
 
+#: How far off the object vertices are drawn: where three walls meet at `need`, and share of the mean side between them;
+#: and the share of the way to the mean of their neighbours that those farther off go inward in a round.
+_CORNER, _OFF, _INWARD = 1.75, 0.2, 0.3
+
 #: Share of its least room that a vertex is pulled by: its neighbours, pulled as well, take up the rest.
 _PULL = 0.5
 
@@ -91,6 +95,11 @@ class HeldFaces:
         self._touched[:] = self.vertices
         return float(self._shortest.max())
 
+    @property
+    def spread(self) -> float:
+        """Side of a vertex's share of the area, as squares, at the last touch."""
+        return float(np.sqrt(self._areas.sum() / len(self.vertices)))
+
     def push(self) -> None:
         """Vertices moved as the last touch asks for."""
         self._move(push_vertices, [*self._rings, self._places, *self._asked])
@@ -104,9 +113,20 @@ class HeldFaces:
         self._move(descend, inputs)
         self.mirror()
 
-    def smooth(self, share: float) -> None:
+    def smooth(self, share: float, limit: float = np.inf, inward: float = 0.0) -> None:
         """Each vertex a `share` of the way to the mean of its neighbours, along the surface only."""
-        self._move(smooth_vertices, [*self._rings, self._places, self._triangles, wp.float64(share)])
+        self._move(
+            smooth_vertices,
+            [
+                *self._rings,
+                self._places,
+                self._triangles,
+                wp.float64(share),
+                self.shell.grid,
+                wp.float64(limit),
+                wp.float64(inward),
+            ],
+        )
 
     def pull(self, level: float) -> None:
         """Each vertex towards the object by half of the least room that the samples near it have."""
@@ -153,11 +173,13 @@ def drawn_close(shell, vertices, faces, need, mirror=None, rounds: int = _DRAWN_
     longest = min(_STEP_OF_EDGE * lengths.mean(), _STEP_OF_NEED * finest)
     held = HeldFaces(shell, vertices, faces, need, mirror)
     held.ask(pieces.astype(np.int32), level, softness)
+    held.touch()
+    limit = _CORNER * need + _OFF * held.spread
     for turn in range(rounds):
         left = 1.0 - turn / rounds
         held.touch()
         held.descend(turn, longest * (left * left + _LAST_STEP))
-        held.smooth(_DRAWN_SMOOTHING * left)
+        held.smooth(_DRAWN_SMOOTHING * left, limit, _INWARD)
     held.touch()
     held.push()
     return held.vertices

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import importlib
+import math
 import sys
 import threading
 from typing import Any
@@ -16,6 +17,7 @@ from ...core.names import error_line
 from ...core.reports import Progress
 from ...errors import InputError, MissingPackageError
 from ...kernels.mesh.crossings import count_crossings
+from ...mesh.faces import face_area
 from ...mesh.mesh import ClosedMesh
 from ...mesh.queries import intersecting_faces
 from ...mesh.validity import require_usable, winding_numbers
@@ -44,10 +46,13 @@ _MIN_LEVEL = 1.8
 #: close; and the rounds tried where nothing else holds: the surface given holds the object by construction.
 _ROUNDS, _DRAWN, _LAST_ROUNDS = (25, 10, 4), (1.0, 0.75, 0.5, 0.25, 0.0), (0,)
 
-#: What is wrong with a cage that cannot be cleared, and with one that is neither spread evenly nor drawn: it holds, but
-#: a wider closing may be tighter.
+#: What is wrong with a cage that cannot be cleared, with one that is neither spread evenly nor drawn, and with one that
+#: has spikes: the last two hold, but a wider closing may give a better one.
 NOT_CLEAR = "its faces cannot be kept off the object"
-_LOOSE = "it could not be drawn close"
+_LOOSE, STRAYS = "it could not be drawn close", "a vertex is far off the object"
+
+#: Mean sides of faces, beyond what `need` explains, that vertices may be off the object.
+_CORNER, _FARTHEST = 1.75, 1.5
 
 #: Vertices of the surface that a progressive hull begins with, for each that it leaves, and whether the last rounds are
 #: tried: all closings are tried with the first, then, where none of them holds, with the next.
@@ -82,7 +87,7 @@ def shell_cage(voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress:
                 break
             reasons.append(reason)
         if found:
-            return min(found, key=lambda cage: cage.volume)
+            return best_cage(voxels, found)
     # no closing is wider than a box, which holds as it is
     cage, reason = sound(
         shell, *split_box(voxels.bounds, 1.5 * shell.reach, vertex_count), need, vertex_count, last=True
@@ -132,9 +137,22 @@ def sound(shell, vertices, faces, need, vertex_count, mirror=None, last=False) -
                 vertices, clear = cleared(shell, vertices, faces, need, mirror)
                 reason = flaw(shell, vertices, faces) if clear else NOT_CLEAR
             if not reason:
-                return ClosedMesh(vertices, faces), _LOOSE if rounds < _ROUNDS[0] and share == 0.0 else ""
+                cage = ClosedMesh(vertices, faces)
+                loose = rounds < _ROUNDS[0] and share == 0.0
+                return cage, _LOOSE if loose else STRAYS if strays(shell.voxels, cage) else ""
         reasons.append(reason)
     return None, reasons[0]
+
+
+def strays(voxels: ObjectVoxels, cage: ClosedMesh) -> bool:
+    """Whether a vertex is farther off the object than the count of vertices explains."""
+    bound = _CORNER * voxels.need + _FARTHEST * math.sqrt(face_area(cage) / len(cage.vertices))
+    return bool((voxels.exact_distance(cage.vertices, np.full(len(cage.vertices), bound), bound) > bound).any())
+
+
+def best_cage(voxels: ObjectVoxels, cages: list[ClosedMesh]) -> ClosedMesh:
+    """The tightest of cages whose vertices keep near, or else of all."""
+    return min(cages, key=lambda cage: (strays(voxels, cage), cage.volume))
 
 
 def flaw(shell, vertices, faces) -> str:

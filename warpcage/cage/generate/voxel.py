@@ -13,7 +13,7 @@ from ...mesh.mesh import ClosedMesh
 from .decimate import progressive_hull
 from .distance import ObjectShell, ObjectVoxels, bounds_of
 from .fit import row_sums
-from .shell import sound
+from .shell import STRAYS, best_cage, sound
 
 #: Sizes of voxels tried, as shares of the longest side; and closing radii, in voxels.
 _SIZES = np.geomspace(0.9, 0.012, 140)
@@ -61,11 +61,11 @@ def voxel_cage(voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress:
             count = len(vertices) if axis is not None else vertex_count
             cage, reason = sound(shell, vertices, faces, need, count, mirror, last)
             found += [cage] if cage else []
-            if not reason:
+            if not reason or reason == STRAYS:  # of which wider closings have more
                 break
             reasons.append(reason)
         if found:
-            return min(found, key=lambda cage: cage.volume)
+            return best_cage(voxels, found)
     raise InputError(reasons[-1])
 
 
