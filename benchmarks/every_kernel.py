@@ -39,9 +39,7 @@ CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add
             "fitting.rmsprop.join_maximum", "render.march_cpu.", "field.march_cpu.",
             "field.occupancy.gather_densities", "field.occupancy.note_densities", "field.occupancy.spread_lines",
             "mesh.shell.", "mesh.collapses.", "splats.composite_cpu.", "splats.pose.carry_bound"}  # fmt: skip
-CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps",
-             "fitting.rmsprop.step_halves.apply_rmsprop_halves",
-             "fitting.rmsprop.variation_halves.accumulate_variation_halves", "field.rows.pack_rows",
+CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows",
              "field.densities.lay_densities", "field.refine.widen_rows", "field.outer_bricks.",
              "field.columns.link_rows", "field.occupancy.spread_distance", "field.colors.",
              "field.march.rows.", "field.march.shaded.", "render.views.rows", "render.views.shaded",

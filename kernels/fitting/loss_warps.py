@@ -27,6 +27,9 @@ from .rmsprop import COEFFICIENTS, GRADIENT_ROW, gradient_place
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 LANES = wp.constant(32)
 
+#: Where a filled cell is at most this many cells away, the densities of the next samples are asked at once.
+NEAR = wp.constant(4)
+
 #: Sample at which a march has nothing to do.
 BEYOND = wp.constant(1 << 28)
 
@@ -219,17 +222,17 @@ def accumulate_photometric_gradient_by_warps(
         color = float(0.0)
         transmittance = float(1.0)
         while sample_distance(ray, k) < ray.far and transmittance > stop:
-            # 32 samples, one a lane, which leaves its cell for the others
-            own_g = sample_place(ray, k + lane)
-            empty = empty_distance(grid, own_g)
-            holds = empty == 0 and sample_distance(ray, k + lane) < ray.far
-            if ballot(int(holds)) == 0:
-                k = index_from_lane(sample_beyond(ray, k + lane, own_g, empty), LANES - 1)
+            g = sample_place(ray, k)
+            empty = empty_distance(grid, g)
+            if empty > NEAR:
+                k = sample_beyond(ray, k, g, empty)
             else:
                 start = wp.min(start, k)
+                # density of 32 samples, one a lane, which leaves its cell for the others
+                own_g = sample_place(ray, k + lane)
                 depth = float(0.0)
                 warp_meets()
-                if holds:
+                if sample_distance(ray, k + lane) < ray.far and empty_distance(grid, own_g) == 0:
                     own = cell_sample(grid, own_g)
                     depth = wp.max(cell_density(grid, own), 0.0) * step
                     keep_cell(own, lane)
