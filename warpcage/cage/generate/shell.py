@@ -36,7 +36,7 @@ _START = 0.4
 _WORTH = 1.5
 
 #: Cubes along a cage's edge where that surface is marched, and voxels along a cube at most.
-_CUBES, _MAX_STEP = 4, 4
+_CUBES, _MAX_STEP = 4, 3
 
 #: Voxels off the object where the smoothed distance has a surface, whatever the object: smoothing over one voxel lifts
 #: the distance to a sheet, a line and a point to 0.8, 1.3 and 1.6 at the object itself.
