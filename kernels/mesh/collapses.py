@@ -5,7 +5,11 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fuse_fp": False})
+
+forward_only = forward_only_in(__name__, (wp.float64, wp.vec3d))
 
 ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
@@ -130,7 +134,7 @@ def lifted(planes: Planes, rules: CollapseRules, u: int, v: int, base: wp.vec3d,
                 if climb < MIN_CLIMB:
                     return -ONE
                 lift = wp.max(lift, below / climb)
-    return lift
+    return forward_only(lift, base)
 
 
 @wp.func
@@ -141,7 +145,7 @@ def room_added(planes: Planes, u: int, v: int, place: wp.vec3d):
         f = face_around(planes, u, v, n)
         if f >= 0:
             room += planes.double_areas[f] * (wp.dot(planes.normals[f], place) - planes.offsets[f])
-    return room / SIX
+    return forward_only(room / SIX, place)
 
 
 @wp.func
@@ -169,7 +173,7 @@ def shape_cost(planes: Planes, rules: CollapseRules, u: int, v: int, place: wp.v
                 square = wp.max(square, wp.max(square_ab, wp.max(square_bc, square_ca)))
                 lacking += ONE / wp.max(even, MIN_EVEN) - ONE
     longest = wp.sqrt(square) / rules.side
-    return rules.side_cost * longest * longest * longest + rules.shape_cost * lacking
+    return forward_only(rules.side_cost * longest * longest * longest + rules.shape_cost * lacking, place)
 
 
 @wp.kernel

@@ -6,9 +6,12 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from .shell import DistanceGrid, grid_distance, grid_place, sample_place, samples_clear, slope_direction
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fuse_fp": False})
+
+forward_only = forward_only_in(__name__, (wp.vec3d, wp.vec3d))
 
 ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
@@ -130,9 +133,10 @@ def moved(
     for n in range(starts[v], starts[v + 1]):
         total += moves[corners[n]]
         weight += weights[corners[n]]
+    place = vertices[v]
     if weight > ZERO:
-        return vertices[v] + total / weight
-    return vertices[v]
+        place += total / weight
+    return forward_only(place, vertices[v])
 
 
 @wp.kernel
