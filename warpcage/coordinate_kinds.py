@@ -33,8 +33,7 @@ class CoordinateKind:
     map_nodes: str | None = None
     weigh_points: str | None = None
     bind_points: str | None = None  # None of a closed form: it does not move splats
-    map_quads: str | None = None  # those of cages of quads: points, nodes and weights; None: as their triangles
-    map_quad_nodes: str | None = None
+    map_quads: str | None = None  # points and weights of cages of quads; None: as their triangles
     weigh_quads: str | None = None
     bind_quads: str | None = None
     adjoint: str | None = None  # the Warp function that a backward pass is written for; None: not differentiable
@@ -102,7 +101,6 @@ COORDINATE_KINDS: dict[str, CoordinateKind] = {
             weigh_points="kernels.coordinates.mean_value:weigh_mean_value",
             bind_points="kernels.splats.bind:bind_mean_value",
             map_quads="kernels.coordinates.quad_mean_value:map_quad_mean_value",
-            map_quad_nodes="kernels.lattice.closed_form:map_nodes_quad_mean_value",
             bind_quads="kernels.splats.bind:bind_quad_mean_value",
             weigh_quads="kernels.coordinates.quad_mean_value:weigh_quad_mean_value",
             adjoint="kernels.coordinates.mean_value:mean_value_position",

@@ -10,7 +10,6 @@ import warp as wp
 from ..coordinates.green import green_position
 from ..coordinates.maximum_likelihood import maximum_likelihood_point
 from ..coordinates.mean_value import mean_value_position
-from ..coordinates.quad_mean_value import quad_mean_value_position
 from .cut_rows import CutRows
 from .gaps import is_near_mark
 from .nodes import CUT_SECTION, INTERPOLATED_SECTION, RING_SECTION, NodeLevels, centered_place, node_place
@@ -37,25 +36,6 @@ def map_nodes_mean_value(
         return
     node = levels.nodes[n]
     values[node] = mean_value_position(centered_place(levels, node), vertices, faces, fans, targets, size)
-
-
-@wp.kernel(launch_bounds=(128, 5))
-def map_nodes_quad_mean_value(
-    first: int,
-    levels: NodeLevels,
-    vertices: wp.array(dtype=wp.vec3),
-    quads: wp.array(dtype=wp.vec4i),
-    planes: wp.array(dtype=wp.vec4),
-    targets: wp.array(dtype=wp.vec3),
-    size: float,
-    values: wp.array(dtype=wp.vec3),
-):
-    """`map_nodes_mean_value` of a cage of quads. planes: see prepare_quads."""
-    n = first + wp.tid()
-    if n >= levels.starts[INTERPOLATED_SECTION]:
-        return
-    node = levels.nodes[n]
-    values[node] = quad_mean_value_position(centered_place(levels, node), vertices, quads, planes, targets, size)
 
 
 @wp.kernel

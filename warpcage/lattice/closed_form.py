@@ -18,7 +18,7 @@ from ..kernels.lattice.closed_form import interpolate_nodes, map_crossings_green
 from ..kernels.lattice.corrections import correct_values, measure_corrections
 from ..kernels.lattice.nodes import RINGS
 from ..mesh.faces import StretchTarget
-from ..mesh.mesh import ClosedMesh, prepared_fans, prepared_quads
+from ..mesh.mesh import ClosedMesh, prepared_fans
 from ..mesh.surface import merge_rows
 from .gaps import MapTarget
 from .lattice import CageLattice
@@ -40,19 +40,12 @@ class ClosedFormSolver(MapSolver):
         self._fans = empty_array(2 * self._faces.size, wp.vec4, self.device)
         self._vertices = lattice.constants.centered.array
         self._size = float(lattice.resolution)  # of the cage, node units
-        self._kind, self._map_nodes, self._weigh_points = kind, kind.load("map_nodes"), kind.load("weigh_points")
-        self._own_faces = self._faces if kind.has_face_weights else lattice.faces
-        self._is_of_quads = lattice.cage.quads is not None and kind.map_quad_nodes is not None
-        if self._is_of_quads:
-            self._faces = self._own_faces = wp.array(lattice.cage.quads, dtype=wp.vec4i, device=self.device)
-            self._fans = empty_array(3 * self._faces.size, wp.vec4, self.device)
-            self._map_nodes, self._weigh_points = kind.load("map_quad_nodes"), kind.load("weigh_quads")
+        self._kind, self._map_nodes = kind, kind.load("map_nodes")
 
     def clear(self, sizes: PoseSizes) -> None:
         """Launch what clears the values and the count of gaps and prepares the faces, before a solution."""
         super().clear(sizes)
-        prepare = prepared_quads if self._is_of_quads else prepared_fans
-        prepare(self._vertices, self._faces, self._size, out=self._fans)
+        prepared_fans(self._vertices, self._faces, self._size, out=self._fans)
 
     def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:
         """Launch what fills the cleared values; see MapSolver."""
@@ -79,11 +72,11 @@ class ClosedFormSolver(MapSolver):
         nodes in one block."""
         points = empty_array(self.nodes.sections.finest_inside, wp.vec3, self.device)
         self._launch(place_nodes, points.size, [0, self.nodes.levels], [points])
-        faces = self._own_faces
+        faces = self._faces if self._kind.has_face_weights else self.lattice.faces
         columns = [self.lattice.vertices.size] + [faces.size] * self._kind.has_face_weights
         weights = [empty_array((points.size, count), wp.float32, self.device) for count in columns]
         inputs = [points, self._vertices, faces, self._size]
-        self._launch(self._weigh_points, points.size, inputs, weights, all_faces=True)
+        self._launch(self._kind.load("weigh_points"), points.size, inputs, weights, all_faces=True)
         cage = self.lattice.cage
         if cage.operator is not None:
             merged = empty_array((points.size, cage.own_count), wp.float32, self.device)
