@@ -67,8 +67,8 @@ def test_bytes_of_a_deformer_beside_its_field(device):
     from warpcage import Deformer
 
     field = shiny_field(device)
+    values = field.grid.links, field.grid.density, field.grid.sh  # which some fields make when they are asked for
     alone = array_bytes(field)
-    values = field.grid.links, field.grid.density, field.grid.sh
     assert sum(each.capacity for each in values) <= alone
     deformer = Deformer(field, BOX, coordinates="mean_value", resolution=24)
     deformer.pose(BOX.twist(20)).render(view())
