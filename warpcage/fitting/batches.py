@@ -31,9 +31,6 @@ from .schedule import view_factors
 #: Bits per channel that pictures may be kept at, the better first. Files have 8; opacity and averaging need more.
 PRECISIONS = (16, 8)
 
-#: How far from a whole number of 255 a float32 is that stands for it, at most.
-WHOLE_BYTE = 1e-3
-
 
 def picture_bytes(scene: Scene, bits: int) -> int:
     """Device memory of a scene's pictures, and what masks split off them, at so many bits for each of four channels;
@@ -51,25 +48,10 @@ def counted_pixels(scene: Scene) -> int:
 
 
 def chosen_bits(scene: Scene, held: int, limit: int) -> int:
-    """The best of PRECISIONS for a scene's pictures that fits, beside `held` bytes, into `limit` bytes; the least that
-    holds them as they are."""
+    """The best of PRECISIONS for a scene's pictures that fits, beside `held` bytes, into `limit` bytes."""
     needed = {bits: held + picture_bytes(scene, bits) for bits in PRECISIONS}
     require_image_memory(needed[PRECISIONS[-1]], limit)
-    if needed[PRECISIONS[0]] > limit or _in_bytes(scene):
-        return PRECISIONS[-1]
-    return PRECISIONS[0]
-
-
-def _in_bytes(scene: Scene) -> bool:
-    """Whether a scene's pictures are those of files of 8 bits, neither averaged nor cut out."""
-
-    def is_whole(image: np.ndarray) -> bool:
-        scaled = 255.0 * image
-        return bool((np.abs(scaled - np.rint(scaled)) < WHOLE_BYTE).all())
-
-    if scene.alphas is not None or not is_whole(scene.images[0]):
-        return False
-    return all(run_parallel([lambda image=image: is_whole(image) for image in scene.images]))
+    return next(bits for bits in PRECISIONS if needed[bits] <= limit)
 
 
 class TrainingPictures:

@@ -180,7 +180,7 @@ def directional_rate(steps: int) -> float:
 OPACITY_EVERY = 4
 
 #: Steps from one pass over the SH coefficients that shrinks them to the next.
-SHRINK_EVERY = 16
+SHRINK_EVERY = 4
 
 #: Steps of the cameras over a fit, about; and least and most steps of the field from one to the next.
 CAMERA_STEPS, CAMERA_EVERY = 200, (4, 16)

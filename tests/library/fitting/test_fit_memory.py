@@ -255,16 +255,6 @@ def test_pictures_on_the_device(device, bits, masks):
         np.testing.assert_allclose(found, expected, atol=2**-12 + 1e-6 if bits == 16 else 0.5 / 255 + 1e-6)
 
 
-def test_pictures_of_files_are_held_as_they_are(device):
-    """Colours in whole steps of 1/255 take 8 bits; those between, as of averaged pictures, take 16."""
-    scene = room_scene(3, 16, masks=False)
-    for images, bits in ((scene.images, 8), (np.float32(0.7) * scene.images, 16)):
-        pictures = FieldOptimizer(dataclasses.replace(scene, images=images), device=device, epochs=1).pictures
-        assert pictures.bits == bits
-        held = pictures.seen.halves.numpy() if bits == 16 else pictures.seen.bytes.numpy() / np.float32(255)
-        np.testing.assert_allclose(held[..., :3], images, atol=2**-12 if bits == 16 else 1e-7)
-
-
 def test_what_counts_a_little_counts(device):
     """Weights are kept in steps of 1/255: those next to 0 are looked at as those that are fitted."""
     weights = np.full((2, 8, 8), 0.5, np.float32)
