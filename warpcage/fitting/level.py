@@ -86,16 +86,15 @@ class Look:
         return tuple(self.mask.shape)
 
 
-def weighty_mask(
-    shape: tuple[int, ...], nodes: wp.array, weights: wp.array, threshold: float, *, neighbors: bool = True
-) -> wp.array:
-    """(nx, ny, nz) uint8 mask of the nodes (rows,), flat indices, with a weight (rows,) from a threshold on.
-    neighbors: whether those next to them that are among the nodes are set too."""
+def weighty_mask(shape: tuple[int, ...], nodes: wp.array, weights: wp.array, threshold: float) -> wp.array:
+    """(nx, ny, nz) uint8 mask of the nodes (rows,), flat indices, with a weight (rows,) from a threshold on, and of
+    their neighbours among the nodes."""
     rows, device = nodes.shape[0], nodes.device
     mask = wp.zeros(shape, dtype=wp.uint8, device=device)
     launch(grid_refine.mark_weighty_nodes, rows, [nodes, weights, threshold], [mask.flatten()], device=device)
-    if neighbors:
-        launch(grid_refine.take_nodes, rows, [nodes, dilated(mask).flatten()], [mask.flatten()], device=device)
+    near = dilated(mask)
+    mask.zero_()
+    launch(grid_refine.take_nodes, rows, [nodes, near.flatten()], [mask.flatten()], device=device)
     return mask
 
 
@@ -179,7 +178,7 @@ class Level:
         inputs = [grid, 0.5 * min(grid.voxel_size), STOP_TRANSMITTANCE]
         stride = picture_rays.stride(max(shape))
         weights = picture_rays.record(record_weights, inputs, stride, rows, self.shards, counts)
-        return Look(weighty_mask(shape, nodes, weights, least, neighbors=False), grid.links, counts)
+        return Look(weighty_mask(shape, nodes, weights, least), grid.links, counts)
 
     def refine(self, look: Look) -> None:
         """Values at the voxels of a look, interpolated; gradients and second moments stay released."""
@@ -236,8 +235,8 @@ class Level:
         return picture_rays.record(record_weights, inputs, pixel_stride, rows, self.shards, counts)
 
     def weighty_mask(self, picture_rays: PictureRays, threshold: float, *, counts: bool = False) -> wp.array:
-        """(nx, ny, nz) uint8 mask of the voxels with a rendering weight from a threshold on, and of their neighbours.
-        counts: whether the pictures that show each row are counted on the way."""
+        """(nx, ny, nz) uint8 mask of the voxels with a rendering weight from a threshold on, and their neighbours.
+        Of those that have a row. counts: whether the pictures that show each row are counted on the way."""
         stride = picture_rays.stride(max(self.field.resolution))
         added = self.views.begin(self.field.voxel_count) if counts else None
         weights = self.measure_weights(picture_rays, stride, added)

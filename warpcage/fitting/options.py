@@ -158,8 +158,8 @@ class FitOptions:
     )
     prune_weight: float = weight(
         0.13,
-        "A voxel is removed after a level if its largest rendering weight and those of its neighbours are below this "
-        "over the resolution; one of the next level if its own is, or is below 0.6 of `keep_weight`.",
+        "A voxel is removed after a level if its largest rendering weight is below this over the resolution; one of "
+        "the next level also if it is below 0.6 of `keep_weight`.",
     )
     keep_weight: float = number(
         0.01,

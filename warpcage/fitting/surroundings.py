@@ -412,8 +412,7 @@ class OuterOptimizer:
         self._resample(coarse, kept, min(2 * coarse.grid.sky.side, MAX_SKY))
         del coarse, kept
         # finer voxels separate better what is behind others
-        least = least_weight(self.options, self.outer.side)
-        self._keep(self._weighty_mask(picture_rays, field, least, counts=True, neighbors=False))
+        self._keep(self._weighty_mask(picture_rays, field, least_weight(self.options, self.outer.side), counts=True))
         self._allocate()
 
     def _resample(self, coarse: OuterField, mask: wp.array, sky_side: int) -> None:
@@ -446,13 +445,7 @@ class OuterOptimizer:
         self._allocate_gradients()
 
     def _weighty_mask(
-        self,
-        picture_rays: PictureRays,
-        field: VoxelField,
-        threshold: float,
-        *,
-        counts: bool = False,
-        neighbors: bool = True,
+        self, picture_rays: PictureRays, field: VoxelField, threshold: float, *, counts: bool = False
     ) -> wp.array:
         """The voxels whose rendering weight reaches a threshold in some view, and their neighbours. counts: as of
         Level.weighty_mask."""
@@ -460,7 +453,7 @@ class OuterOptimizer:
         inputs, added = [outer.grid, field.grid, field.step], self.views.begin(rows) if counts else None
         stride = picture_rays.stride(outer.side)
         weights = picture_rays.record(outer_loss.record_outer_weights, inputs, stride, rows, self.shards, added)
-        return weighty_mask((outer.side,) * 3, self.nodes, weights, threshold, neighbors=neighbors)
+        return weighty_mask((outer.side,) * 3, self.nodes, weights, threshold)
 
     # Steps
 

@@ -304,7 +304,7 @@ def test_8_bits_a_channel_are_enough(device, monkeypatch, kind):
 @pytest.mark.parametrize(
     "limit, bits",
     [
-        ("12.5MB", 16),
+        ("2.8MB", 16),
         ("2.2MB", 8),
         ("1.2MB", 8),
         *(pytest.param(*each, marks=pytest.mark.nightly) for each in (("12.5MB", 16), ("9MB", 8), ("4MB", 8))),
