@@ -181,8 +181,7 @@ def bake_nodes(
     density: wp.array(dtype=wp.float32),
     sh: wp.array2d(dtype=wp.float32),
 ):
-    """Density (rows,) before the ReLU and harmonics (rows, 24 or 27) of the deformed scene at nodes (rows,), flat
-    indices in a grid of a shape.
+    """Density (rows,) before the ReLU and harmonics (rows, 24 or 27) of the deformed scene at nodes (rows,), flat.
     dt: of the differences, world units; arc_opacity: 1 where optical depth is in canonical arc length."""
     n = first + wp.tid()
     i, j, k = grid_place(nodes[n], shape[1], shape[2])

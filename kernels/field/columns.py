@@ -94,9 +94,9 @@ def mark_blocks(
     nodes: wp.array(dtype=wp.int32),
     order: wp.array(dtype=wp.int32),
 ):
-    """Bits and first row of each block of a column, and the node of each row (rows,); one item per column. Rows are for
-    values from `least` on. order: (rows,) those values, links, or empty.
+    """Bits and first row of each block of a column, and the node of each row (rows,); one item per column.
     running_count: (nx * ny,) rows up to the end of each column; blocks: (nx * ny, blocks of a column)."""
+    # rows are for values from `least` on; order: (rows,) those values, links, or empty
     n = first + wp.tid()
     i = n // values.shape[1]
     j = n % values.shape[1]
