@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import checked_path, listed, require_type
+from ...core.checks import checked_path, listed, require_type, warn_caller
 from ...core.files import PathLike, atomic_path, require_file
 from ...core.names import counted
 from ...errors import InputError
@@ -189,8 +189,11 @@ def write_mesh(path: PathLike, mesh: ClosedMesh, up: str | None = None) -> None:
     format = mesh_format(path, "write")
     writer, faces = format.write, mesh.faces
     assert writer is not None  # glTF holds float32 from the middle of the vertices, others every bit
-    if format.polygons and mesh.polygon_faces is not None:
-        faces = mesh.polygons
+    if mesh.polygon_faces is not None:
+        if format.polygons:
+            faces = mesh.polygons
+        else:
+            warn_caller(f"{path} holds triangles: faces of more corners are cut; .obj, .ply, .off and USD keep them")
     vertices = mesh.vertices
     if _turned(path, up, "write"):
         vertices = turned_up(vertices, "z", "y")
