@@ -37,16 +37,16 @@ ROUNDING = wp.constant(1.0e-6)
 #: Steps are tried this many times as long as they are known to go down, and that many times again after each success.
 BOLDER = wp.constant(4.0)
 
-#: After so many passes it begins anew as interior point methods do, for cages as flat as a leaf: with MOST_EXTRA added
-#: to each p, LESS times that whenever a step changes no y by more than CENTRAL, and nothing below LEAST_EXTRA.
+#: After so many passes it begins anew as interior point methods do, for cages as flat as a leaf: with MAX_EXTRA added
+#: to each p, LESS times that whenever a step changes no y by more than CENTRAL, and nothing below MIN_EXTRA.
 PATIENCE = wp.constant(10)
-MOST_EXTRA = wp.constant(0.1)
-LEAST_EXTRA = wp.constant(1.0e-8)
+MAX_EXTRA = wp.constant(0.1)
+MIN_EXTRA = wp.constant(1.0e-8)
 LESS = wp.constant(0.05)
 CENTRAL = wp.constant(0.3)
 
 #: Where it has not ended after so many passes over the faces there is no solution; it takes 3 or 4 inside a cage.
-MOST_PASSES = wp.constant(80)
+MAX_PASSES = wp.constant(80)
 
 #: A face is seen edge-on where it is this far beside a point, as a share of the size, and the point next to its plane.
 BESIDE = wp.constant(0.1)
@@ -230,7 +230,7 @@ def searched(search: Search, sums: Likelihood, passes: int):
     where it went too far."""
     if passes == PATIENCE:
         search = Search()
-        search.extra = MOST_EXTRA
+        search.extra = MAX_EXTRA
         return search
     if sums.beyond == 1 or wp.dot(sums.balance, search.step) < -0.25 * search.slope:
         search.phi -= (search.taken - search.safe) * search.step
@@ -244,7 +244,7 @@ def searched(search: Search, sums: Likelihood, passes: int):
         search.taken = 0.0
         search.safe = 0.0
         search.bold = 1.0
-        search.extra = wp.where(search.extra < LEAST_EXTRA, 0.0, LESS * search.extra)
+        search.extra = wp.where(search.extra < MIN_EXTRA, 0.0, LESS * search.extra)
         return search
     search.step = sums.step
     search.slope = wp.dot(sums.balance, sums.step)
@@ -312,7 +312,7 @@ def likeliest(
     found.touched = -1
     search = Search()
     passes = int(0)
-    while passes < MOST_PASSES:
+    while passes < MAX_PASSES:
         sums = Likelihood()
         a = wp.vec3(0.0, 0.0, 0.0)
         b = wp.vec3(0.0, 0.0, 0.0)
@@ -344,7 +344,7 @@ def likeliest(
         if found.touched >= 0 or (search.extra == 0.0 and has_settled(sums)):
             search.phi += sums.step
             found.residual = 0.0
-            passes = MOST_PASSES
+            passes = MAX_PASSES
         else:
             search = searched(search, sums, passes)
             passes += 1
@@ -434,7 +434,7 @@ def weigh_maximum_likelihood(
     search = Search()
     passes = int(0)
     touched = int(-1)
-    while passes < MOST_PASSES:
+    while passes < MAX_PASSES:
         sums = Likelihood()
         for f in range(faces.shape[0]):
             face = faces[f]
@@ -467,6 +467,6 @@ def weigh_maximum_likelihood(
                 corners = term.corners * (term.prior / (1.0 + wp.dot(search.phi, term.direction)))
                 add_corners(weights, n, face, corners)
                 total += corners[0] + corners[1] + corners[2]
-        scale = wp.where(passes < MOST_PASSES, 1.0 / total, wp.nan)
+        scale = wp.where(passes < MAX_PASSES, 1.0 / total, wp.nan)
         for j in range(weights.shape[1]):
             weights[n, j] = weights[n, j] * scale

@@ -34,8 +34,8 @@ HOLD = wp.constant(wp.float64(1.0e-2))
 COST_UNITS = wp.constant(wp.float64(1.0e9))
 
 #: Neighbours that a new vertex has at least and at most.
-FEWEST_NEIGHBORS = wp.constant(3)
-MOST_NEIGHBORS = wp.constant(10)
+MIN_NEIGHBORS = wp.constant(3)
+MAX_NEIGHBORS = wp.constant(10)
 
 
 @wp.struct
@@ -86,7 +86,7 @@ def degree(planes: Planes, v: int):
 def keeps_manifold(planes: Planes, u: int, v: int):
     """Whether the ends have two neighbours in common and no vertex is left with three faces (link condition)."""
     merged = degree(planes, u) + degree(planes, v) - 4
-    if merged < FEWEST_NEIGHBORS or merged > MOST_NEIGHBORS:
+    if merged < MIN_NEIGHBORS or merged > MAX_NEIGHBORS:
         return False
     common = int(0)
     for n in range(planes.starts[u], planes.starts[u + 1]):

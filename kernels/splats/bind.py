@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from ..coordinates.maximum_likelihood import MOST_PASSES, exact_face_term
+from ..coordinates.maximum_likelihood import MAX_PASSES, exact_face_term
 from ..coordinates.quad_mean_value import NEAR_OUTSIDE, patch_rule, weights_by_rule
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
@@ -97,7 +97,7 @@ def bind_mean_value(
 
 
 #: Steps of differences, as a share of the distance to a patch: off by about their square.
-STEP = wp.constant(wp.float64(1.0e-4))
+PATCH_STEP = wp.constant(wp.float64(1.0e-4))
 
 
 @wp.kernel
@@ -124,7 +124,7 @@ def bind_quad_mean_value(
         s = vertices[quad[3]] - x
         rule = patch_rule(p, q, r, s, NEAR_OUTSIDE)
         weights = weights_by_rule(p, q, r, s, rule, _ONE)
-        step = STEP * rule.distance
+        step = PATCH_STEP * rule.distance
         axis = int(-1)
         while axis < 3:  # first the weights themselves
             slopes = weights
@@ -283,7 +283,7 @@ def bind_green(
 
 
 #: Gradients of maximum likelihood coordinates are forward differences over this share of the size.
-STEP = wp.constant(wp.float64(1.0e-7))
+SIZE_STEP = wp.constant(wp.float64(1.0e-7))
 
 #: Newton's method ends where a step changes no y by more than this share: the square is rounding.
 LAST_CHANGE = wp.constant(wp.float64(1.0e-8))
@@ -306,11 +306,11 @@ def bind_maximum_likelihood(
     phi = wp.vec3d()
     passes = int(0)
     number = int(0)  # of the point itself, then those a step along each axis from it
-    while number < 4 and passes < MOST_PASSES:
+    while number < 4 and passes < MAX_PASSES:
         x = points[n]
         part = wp.vec4d()
         part[number] = _ONE
-        x += STEP * wp.vec3d(part[1], part[2], part[3])
+        x += SIZE_STEP * wp.vec3d(part[1], part[2], part[3])
         balance = wp.vec3d()
         matrix = wp.mat33d()
         largest = wp.float64(0.0)
@@ -344,7 +344,7 @@ def bind_maximum_likelihood(
         weight = wp.cw_div(scratch[j, n], total)
         rows[j, n] = wp.vec4(
             float(weight[0]),
-            float((weight[1] - weight[0]) / STEP),
-            float((weight[2] - weight[0]) / STEP),
-            float((weight[3] - weight[0]) / STEP),
+            float((weight[1] - weight[0]) / SIZE_STEP),
+            float((weight[2] - weight[0]) / SIZE_STEP),
+            float((weight[3] - weight[0]) / SIZE_STEP),
         )

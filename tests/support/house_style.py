@@ -181,6 +181,17 @@ def internal_docstrings_have_one_sentence(trees=None):
 
 
 @rule
+def constants_have_one_value(trees=None):
+    """A second assignment would change what kernels above it read, which look constants up when they are compiled."""
+    trees = trees or {name_of(path): parsed(path) for path in python_files(PACKAGE, KERNELS)}
+    for path, tree in trees.items():
+        named = [node.targets if isinstance(node, ast.Assign) else [node.target] for node in tree.body
+                 if isinstance(node, ast.Assign | ast.AnnAssign)]  # fmt: skip
+        names = [each.id for targets in named for each in targets if isinstance(each, ast.Name) and each.id.isupper()]
+        yield from (f"{path}: {name}" for name in sorted({name for name in names if names.count(name) > 1}))
+
+
+@rule
 def kernels_have_no_lists_of_needs():
     """The imports of a file say what it needs."""
     for path in python_files(KERNELS):

@@ -137,7 +137,7 @@ MIN_RESOLUTION, MAX_RESOLUTION = 8, 1024
 MARGIN = (1.0 + math.sqrt(2), 1.0 + math.sqrt(3), math.sqrt(5))
 
 #: Nodes along the longest side of a lattice beside its resolution, at most: both margins, rounded up.
-MOST_MARGIN = 8
+MAX_MARGIN = 8
 
 #: Crossings kept for a line at first; lines that need more make all of them longer.
 LINE_CAPACITY = 8
@@ -278,7 +278,7 @@ class CageLattice(HeldOnDevice):
 
     def most_sizes(self, level_count: int) -> PoseSizes:
         """The same over a pose as long along all axes: hardly any pose has more, whatever its proportions."""
-        layout = level_layout((self.resolution + MOST_MARGIN,) * 3, self.level_count)
+        layout = level_layout((self.resolution + MAX_MARGIN,) * 3, self.level_count)
         return pose_sizes(layout, level_count, self.block_faces.group_side)
 
     def launch_geometry(self, sizes: PoseSizes) -> None:

@@ -26,7 +26,7 @@ _SIDE_COST, _SHAPE_COST = 0.05, 0.02
 _ON_PLANE = 1e-9
 
 #: Sides of faces to come that a new vertex may lie beyond where it is lifted from: no spikes of little room.
-_MOST_LIFT = 1.0
+_MAX_LIFT = 1.0
 
 #: New faces must not turn farther than by this cosine, nor be flatter than this evenness (1 for equilateral).
 _MIN_TURN, _MIN_EVEN = 0.2, 0.15
@@ -85,7 +85,7 @@ class EdgeCollapses:
         planes.normals, planes.double_areas = on_cpu(normals.T, wp.vec3d), on_cpu(double_area, wp.float64)
         planes.offsets = on_cpu(column_dot(normals, a.T), wp.float64)
         rules.side, rules.on_plane = wp.float64(side), wp.float64(_ON_PLANE)
-        rules.most_lift = wp.float64(_MOST_LIFT)
+        rules.most_lift = wp.float64(_MAX_LIFT)
         rules.least_turn, rules.least_even = wp.float64(_MIN_TURN), wp.float64(_MIN_EVEN)
         rules.side_cost, rules.shape_cost = wp.float64(_SIDE_COST), wp.float64(_SHAPE_COST)
         self.edges = _edges(faces)
