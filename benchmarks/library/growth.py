@@ -83,25 +83,26 @@ def measure(args) -> None:
             print(rows[-1], flush=True)
         for figure, slope in slopes([row for row in rows if row["what"] == name]).items():
             print(f"{name}: {figure} grows by the power {slope:.2f}", flush=True)
-    write_results(args.json, device, voxels=field.voxel_count, pictures=count, pixels=side, rows=rows)
+        # after each, so that a run that is cut short keeps what it has
+        write_results(args.json, device, voxels=field.voxel_count, pictures=count, pixels=side, rows=rows)
 
 
 @command(
-    option("json", type=pathlib.Path, help="what `growth measure` wrote"),
+    option("json", type=pathlib.Path, nargs="+", help="what `growth measure` wrote, in one run or several"),
     option("figure", type=pathlib.Path, help="SVG file"),
 )
 def figure(args) -> None:
     """The plot of it: log-log, a line a figure, its slope in the legend.
 
-    python benchmarks growth figure docs/results/growth.json docs/pictures/growth.svg
+    python benchmarks growth figure docs/results/growth*.json docs/pictures/growth.svg
     """
     import matplotlib
 
     matplotlib.use("svg")
     matplotlib.rcParams["svg.hashsalt"] = "growth"  # the same file each time
-    from matplotlib import pyplot
+    from matplotlib import pyplot, ticker
 
-    rows = json.loads(args.json.read_text(encoding="utf-8"))["rows"]
+    rows = [row for path in args.json for row in json.loads(path.read_text(encoding="utf-8"))["rows"]]
     sweeps = {name: list(group) for name, group in itertools.groupby(rows, key=lambda row: row["what"])}
     columns = 4
     shape = -(-len(sweeps) // columns), columns
@@ -113,6 +114,11 @@ def figure(args) -> None:
             points = [(row["value"], row[what]) for row in group if row.get(what)]
             axis.loglog(*zip(*points, strict=True), marker="o", markersize=3, label=f"{what}: {slope:.2f}")
         axis.set_title(name.replace("-", " "), fontsize=9)
+        values = sorted({row["value"] for row in group})
+        axis.set_xticks(values, [f"{value:,}" for value in values])
+        axis.set_xticks([], minor=True)
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter(ticker.LogFormatter(minor_thresholds=(1, 0.5)))
         axis.tick_params(labelsize=7, which="both")
         axis.legend(fontsize=7)
     args.figure.parent.mkdir(parents=True, exist_ok=True)
@@ -152,7 +158,7 @@ def scene_of(field, count: int, side: int) -> warpcage.Scene:
 
 
 def fit_cost(scene, device, **options) -> dict:
-    """Seconds and gigabytes of a fit, and voxels or splats that came of it."""
+    """Seconds and gigabytes of a fit, and millions of voxels or splats that came of it."""
     before = held(device)
     most = [before]
     made = []
@@ -163,7 +169,7 @@ def fit_cost(scene, device, **options) -> dict:
     seconds = seconds_of(
         lambda: made.append(warpcage.fit(scene, quality="fast", device=device, progress=watch, **options)), device
     )
-    return {"seconds": seconds, "gigabytes": (max(most) - before) / 1e9, "size": field_length(made[0])}
+    return {"seconds": seconds, "gigabytes": (max(most) - before) / 1e9, "millions": field_length(made[0]) / 1e6}
 
 
 def held(device) -> int:
