@@ -29,7 +29,7 @@ from .cameras import CAMERA_RAYS, HALF_LOOKS, CameraErrors, CameraRefinement, Ca
 from .level import Level, Look, level_memory
 from .memory import FitMemory, children_count, finer_shapes, finest, memory_limit, memory_text
 from .options import VIEW_OPTIONS, checked_options
-from .schedule import Pace, Schedule, least_weight, outer_side, plan_batches, plan_grid
+from .schedule import LEVEL_GROWTH, Pace, Schedule, least_weight, outer_side, plan_batches, plan_grid
 from .silhouettes import Silhouettes, possible_voxels
 from .surroundings import (
     MEMORY_SHARE,
@@ -128,6 +128,8 @@ class FieldOptimizer(HeldOnDevice):
         idle = () if has_outer else VIEW_OPTIONS
         for name in idle if limited else (*idle, "most_rays"):
             del self.given[name]
+        if self.options.level_growth is None:  # as it always was; checkpoints hold the steps of their levels
+            self.given["level_growth"] = LEVEL_GROWTH
         self.bounds, self.shapes, self.variation = grid.bounds, grid.shapes, grid.variation
         self.counted_variation = grid.counted_variation
         self.planned = list(grid.shapes)
@@ -149,7 +151,7 @@ class FieldOptimizer(HeldOnDevice):
         if around == "outer":  # which begins with this colour too, and would explain all if the field did not
             self.current.paint(mean_color(scene))
         self._activate_tiles()
-        batch_tiles, level_steps = plan_batches(self.options, pixels, self.batches.active_tiles)
+        batch_tiles, level_steps = plan_batches(self.options, pixels, self.batches.active_tiles, around == "outer")
         self.batches.size(batch_tiles)
         side = outer_side(scene, self.options, grid)  # of an outer field
         self.schedule = Schedule(self.options, level_steps, grid.scarcity, side / max(grid.shapes[-1]))

@@ -38,7 +38,7 @@ def number(default: float | None, low: float, high: float, text: str) -> Any:
     return option(default, text, spec.number(low, high))
 
 
-def positive(default: float, text: str) -> Any:
+def positive(default: float | None, text: str) -> Any:
     return number(default, SMALLEST, LARGEST, text)
 
 
@@ -71,7 +71,10 @@ class FitOptions:
         "Levels of the fit. The resolution doubles from each to the next. A fit adds levels if it "
         "has to start coarser, and has fewer where the first would have less than 2 voxels along its longest side.",
     )
-    level_growth: float = positive(2.6, "Rays of a level over the rays of the level before.")
+    level_growth: float | None = positive(
+        None,
+        "Rays of a level over the rays of the level before. None is 2.6, and 1.25 where an OuterField is fitted too.",
+    )
     epochs: float = positive(11.0, "Passes over the pixels that see the object.")
     most_rays: float = number(
         5e8,
@@ -332,7 +335,7 @@ class FitNames(FitCall, total=False):
     max_resolution: int
     footprint: float
     levels: int
-    level_growth: float
+    level_growth: float | None
     epochs: float
     most_rays: float
     least_steps: int

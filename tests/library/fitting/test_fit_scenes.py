@@ -101,6 +101,13 @@ def test_batches_are_large_where_steps_are_many(quality, millions, passes, rays)
     assert sum(asked[1]) == pytest.approx(5 * tiles / asked[0], rel=0.01)
 
 
+def test_levels_grow_less_beside_an_outer_field():
+    """A level takes 2.6 times the steps of the level before, 1.25 times beside an outer field, or what is asked for."""
+    for options, has_outer, growth in (({}, False, 2.6), ({}, True, 1.25), ({"level_growth": 2.0}, True, 2.0)):
+        _, steps = plan_batches(checked_options(options), 56_000_000, 5_000_000, has_outer)
+        np.testing.assert_allclose(np.divide(steps[1:], steps[:-1]), growth, rtol=0.02)
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_models_are_meshes(model):
     vertices, faces, colors = MODELS[model]()
