@@ -166,6 +166,7 @@ def coordinates(device) -> None:
     warpcage.green_coordinates(points, CAGE)
     warpcage.mean_value_coordinates(points, QUADS)
     warpcage.maximum_likelihood_coordinates(points, CAGE)
+    warpcage.biharmonic_coordinates(points, CAGE)
     warpcage.harmonic_coordinates(POINTS, CAGE, resolution=12, device=device)
     for kind in COORDINATES:
         warpcage.deform_points(points, CAGE, POSE, coordinates=kind)

@@ -22,6 +22,7 @@ _HOMES = {
     "cage.pose_file": ["PoseFile"],
     "cage.random_poses": ["RandomPoses"],
     "coordinates.coordinates": [
+        "biharmonic_coordinates",
         "deform_points",
         "green_coordinates",
         "harmonic_coordinates",

@@ -4,6 +4,7 @@ from .cage.cage import Cage as Cage
 from .cage.check import CageReport as CageReport
 from .cage.pose_file import PoseFile as PoseFile
 from .cage.random_poses import RandomPoses as RandomPoses
+from .coordinates.coordinates import biharmonic_coordinates as biharmonic_coordinates
 from .coordinates.coordinates import deform_points as deform_points
 from .coordinates.coordinates import green_coordinates as green_coordinates
 from .coordinates.coordinates import harmonic_coordinates as harmonic_coordinates
@@ -88,6 +89,7 @@ __all__ = [
     "SurfaceMesh",
     "VoxelField",
     "bake",
+    "biharmonic_coordinates",
     "camera_at",
     "capture",
     "deform_points",

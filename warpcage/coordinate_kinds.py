@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias
 from .errors import InputError
 
 #: Names of kinds, as `coordinates=` takes them.
-Coordinates: TypeAlias = Literal["harmonic", "mean_value", "green", "maximum_likelihood"]
+Coordinates: TypeAlias = Literal["harmonic", "mean_value", "green", "maximum_likelihood", "biharmonic"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,17 +31,24 @@ class CoordinateKind:
     # take what those of mean value coordinates take (with face weights: those of Green coordinates)
     map_points: str | None = None
     map_nodes: str | None = None
+    map_crossings: str | None = None  # on the cage, of kinds that are not linear on its faces
     weigh_points: str | None = None
     bind_points: str | None = None  # None of a closed form: it does not move splats
     map_quads: str | None = None  # points and weights of cages of quads; None: as their triangles
     weigh_quads: str | None = None
     bind_quads: str | None = None
     adjoint: str | None = None  # the Warp function that a backward pass is written for; None: not differentiable
-    has_face_weights: bool = False
+    # numbers that each face has, of Green coordinates its normal; of three, the others follow (mesh/biharmonic.py)
+    face_layers: int = 0
     is_iterative: bool = False  # there may be no solution at a point, which is NaN then
     is_precise: bool = False  # also evaluated at every sample, without a lattice (kernels/edits/trace.py)
     extends: bool = False  # defined outside of the cage too
     face_cells: int = 1  # along each edge of a face of more than three corners, of the surface that it is solved on
+
+    @property
+    def has_face_weights(self) -> bool:
+        """Whether faces have weights besides vertices."""
+        return self.face_layers > 0
 
     @property
     def is_closed_form(self) -> bool:
@@ -116,10 +123,11 @@ COORDINATE_KINDS: dict[str, CoordinateKind] = {
             modules=("kernels.lattice.closed_form", "kernels.mesh.fans", "kernels.lattice.cut_rows"),
             map_points="kernels.coordinates.green:map_green_inside",
             map_nodes="kernels.lattice.closed_form:map_nodes_green",
+            map_crossings="kernels.lattice.closed_form:map_crossings_green",
             weigh_points="kernels.coordinates.green:weigh_green",
             bind_points="kernels.splats.bind:bind_green",
             adjoint="kernels.coordinates.green:green_point",
-            has_face_weights=True,
+            face_layers=1,
             is_precise=True,
         ),
         CoordinateKind(
@@ -139,6 +147,20 @@ COORDINATE_KINDS: dict[str, CoordinateKind] = {
             weigh_points="kernels.coordinates.maximum_likelihood:weigh_maximum_likelihood",
             bind_points="kernels.splats.bind:bind_maximum_likelihood",
             is_iterative=True,
+        ),
+        CoordinateKind(
+            "biharmonic",
+            label="Biharmonic",
+            help="keeps shapes, ends at the cage",
+            move_points="coordinates.coordinates:move_in_closed_form",
+            solver="lattice.closed_form:BiharmonicSolver",
+            modules=("kernels.lattice.closed_form", "kernels.mesh.fans", "kernels.lattice.cut_rows"),
+            map_points="kernels.coordinates.biharmonic:map_biharmonic",
+            map_nodes="kernels.lattice.closed_form:map_nodes_biharmonic",
+            map_crossings="kernels.lattice.closed_form:map_crossings_biharmonic",
+            weigh_points="kernels.coordinates.biharmonic:weigh_biharmonic",
+            bind_points="kernels.splats.bind:bind_biharmonic",
+            face_layers=3,
         ),
     )
 }

@@ -13,7 +13,7 @@ def merge_rows(
     rows: wp.array2d(dtype=Any),
     starts: wp.array(dtype=int),
     which: wp.array(dtype=int),
-    shares: wp.array(dtype=float),
+    shares: wp.array(dtype=Any),
     surface_count: int,
     merged: wp.array2d(dtype=Any),
 ):
@@ -25,10 +25,16 @@ def merge_rows(
         total = shares[starts[j]] * rows[which[starts[j]], n]
         for k in range(starts[j] + 1, starts[j + 1]):
             total += shares[k] * rows[which[k], n]
-        merged[j, n] = total
+        merged[j, n] = merged.dtype(total)
     for j in range(count, merged.shape[0]):
-        merged[j, n] = rows[j - count + surface_count, n]
+        merged[j, n] = merged.dtype(rows[j - count + surface_count, n])
 
 
-for number in (wp.float32, wp.vec4):
-    wp.overload(merge_rows, {"rows": wp.array2d(dtype=number), "merged": wp.array2d(dtype=number)})
+for sums, shares, kept in (
+    (wp.float32, wp.float32, wp.float32),
+    (wp.vec4, wp.float32, wp.vec4),
+    (wp.float64, wp.float64, wp.float32),
+    (wp.vec4d, wp.float64, wp.vec4),
+):
+    arrays = {"rows": wp.array2d(dtype=sums), "shares": wp.array(dtype=shares), "merged": wp.array2d(dtype=kept)}
+    wp.overload(merge_rows, arrays)

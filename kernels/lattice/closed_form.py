@@ -1,4 +1,4 @@
-"""Mean value, Green and maximum likelihood maps at the listed nodes of a lattice."""
+"""Mean value, Green, maximum likelihood and biharmonic maps at the listed nodes of a lattice."""
 
 # Cage vertices are in node units relative to the middle of the lattice, which keeps most float32 digits; `size` is the
 # cage's. At CLEARANCE cells from the cage and more, where maps are smooth, every second node along each axis is
@@ -7,6 +7,7 @@
 
 import warp as wp
 
+from ..coordinates.biharmonic import biharmonic_position
 from ..coordinates.green import green_position
 from ..coordinates.maximum_likelihood import maximum_likelihood_point
 from ..coordinates.mean_value import mean_value_position
@@ -57,6 +58,26 @@ def map_nodes_green(
         return
     node = levels.nodes[n]
     values[node] = green_position(centered_place(levels, node), vertices, faces, fans, targets, target_normals, size)
+
+
+@wp.kernel
+def map_nodes_biharmonic(
+    first: int,
+    levels: NodeLevels,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    face_values: wp.array(dtype=wp.vec3),
+    size: float,
+    values: wp.array(dtype=wp.vec3),
+):
+    """As `map_nodes_green`; face_values (3 f,): see kernels/coordinates/biharmonic.py."""
+    n = first + wp.tid()
+    if n >= levels.starts[INTERPOLATED_SECTION]:
+        return
+    node = levels.nodes[n]
+    values[node] = biharmonic_position(centered_place(levels, node), vertices, faces, fans, targets, face_values, size)
 
 
 @wp.kernel(launch_bounds=(128, 4))
@@ -135,6 +156,26 @@ def stretch_normals(
     values[f] = stretch * rest_normals[f] - (normal[0] * affine[0] + normal[1] * affine[1] + normal[2] * affine[2])
 
 
+@wp.func
+def marked_crossing(levels: NodeLevels, rows: CutRows, marks: wp.array(dtype=int), row: int, direction: int):
+    """Where a link of a cut node crosses the cage, and above 0 if it does, and the node is at a cell that is marked, as
+    lattice/gaps has them, or beside one: sides are continued from no others."""
+    place = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if row < levels.starts[RING_SECTION] - levels.starts[CUT_SECTION]:
+        node = levels.nodes[levels.starts[CUT_SECTION] + row]
+        if rows.faces[row, direction] >= 0 and is_near_mark(levels, marks, node):
+            x = centered_place(levels, node)
+            axis = direction / 2
+            away = wp.where(direction % 2 == 1, rows.fractions[row, direction], -rows.fractions[row, direction])
+            place = wp.vec4(
+                x[0] + wp.where(axis == 0, away, 0.0),
+                x[1] + wp.where(axis == 1, away, 0.0),
+                x[2] + wp.where(axis == 2, away, 0.0),
+                1.0,
+            )
+    return place
+
+
 @wp.kernel
 def map_crossings_green(
     first: int,
@@ -149,17 +190,36 @@ def map_crossings_green(
     size: float,
     boundary: wp.array2d(dtype=wp.vec3),
 ):
-    """boundary (rows, 6): the map's limit from inside where links of cut nodes cross the cage. One level. Only of nodes
-    at cells that are marked, as lattice/gaps has them, or beside one: sides are continued from no others."""
+    """boundary (rows, 6): the map's limit from inside where links of cut nodes cross the cage: see marked_crossing. One
+    level."""
     item = first + wp.tid()
     row = item / 6
     direction = item % 6
-    if row >= levels.starts[RING_SECTION] - levels.starts[CUT_SECTION]:
-        return
-    node = levels.nodes[levels.starts[CUT_SECTION] + row]
-    if rows.faces[row, direction] >= 0 and is_near_mark(levels, marks, node):
-        x = centered_place(levels, node)
-        away = rows.fractions[row, direction]
-        axis = direction / 2
-        x[axis] = x[axis] + wp.where(direction % 2 == 1, away, -away)
+    place = marked_crossing(levels, rows, marks, row, direction)
+    if place[3] > 0.0:
+        x = wp.vec3(place[0], place[1], place[2])
         boundary[row, direction] = green_position(x, vertices, faces, fans, targets, target_normals, size)
+
+
+@wp.kernel
+def map_crossings_biharmonic(
+    first: int,
+    levels: NodeLevels,
+    rows: CutRows,
+    marks: wp.array(dtype=int),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    face_values: wp.array(dtype=wp.vec3),
+    size: float,
+    boundary: wp.array2d(dtype=wp.vec3),
+):
+    """As `map_crossings_green`."""
+    item = first + wp.tid()
+    row = item / 6
+    direction = item % 6
+    place = marked_crossing(levels, rows, marks, row, direction)
+    if place[3] > 0.0:
+        x = wp.vec3(place[0], place[1], place[2])
+        boundary[row, direction] = biharmonic_position(x, vertices, faces, fans, targets, face_values, size)

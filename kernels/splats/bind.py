@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..coordinates.biharmonic import face_layers
 from ..coordinates.maximum_likelihood import MAX_PASSES, exact_face_term
 from ..coordinates.quad_mean_value import NEAR_OUTSIDE, patch_rule, weights_by_rule
 
@@ -193,6 +194,95 @@ def row_of(value: wp.float64, slope: wp.vec3d):
     return wp.vec4d(value, slope[0], slope[1], slope[2])
 
 
+@wp.struct
+class GreenRows:
+    """Green coordinates of a face and their gradients."""
+
+    a: wp.vec4d  # phi of the corners
+    b: wp.vec4d
+    c: wp.vec4d
+    psi: wp.vec4d
+
+
+@wp.struct
+class PhiTerms:
+    """What phi of the corners of a face share: the solid angle, the height, and the integrals along all edges."""
+
+    scale: wp.float64
+    angle: wp.float64
+    angle_slope: wp.vec3d
+    height: wp.float64
+    normal: wp.vec3d
+    pull: wp.vec3d
+    pull_slope: wp.mat33d
+
+
+@wp.func
+def phi_row(edge: EdgeTerms, face: PhiTerms):
+    """phi of the corner across an edge."""
+    reach = wp.dot(edge.along, face.pull)
+    value = face.scale * (edge.area * face.angle + face.height * reach)
+    slope = face.scale * (
+        edge.area_slope * face.angle
+        + edge.area * face.angle_slope
+        - reach * face.normal
+        + face.height * (wp.transpose(face.pull_slope) * edge.along)
+    )
+    return row_of(value, slope)
+
+
+@wp.func
+def green_rows(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Green coordinates of the face a, b, c as seen from the origin."""
+    cross = wp.cross(b - a, c - a)
+    double_area = wp.length(cross)
+    normal = cross / double_area
+    height = wp.dot(normal, a)
+    bc = edge_terms(b, c, normal)
+    ca = edge_terms(c, a, normal)
+    ab = edge_terms(a, b, normal)
+
+    la = wp.length(a)
+    lb = wp.length(b)
+    lc = wp.length(c)
+    det = height * double_area
+    cos_ab = wp.dot(a, b)
+    cos_bc = wp.dot(b, c)
+    cos_ca = wp.dot(c, a)
+    below = la * lb * lc + cos_ab * lc + cos_bc * la + cos_ca * lb
+    angle = _TWO * wp.atan2(det, below)
+    d_below = (
+        (a / la) * (lb * lc + cos_bc)
+        + (b / lb) * (la * lc + cos_ca)
+        + (c / lc) * (la * lb + cos_ab)
+        + (a + b) * lc
+        + (b + c) * la
+        + (c + a) * lb
+    )
+    # d det = -cross . dx, d below = -d_below . dx
+    angle_slope = (_TWO / (det * det + below * below)) * (det * d_below - below * cross)
+
+    pull = bc.integral * bc.along + ca.integral * ca.along + ab.integral * ab.along
+    pull_slope = (
+        wp.outer(bc.along, bc.integral_slope)
+        + wp.outer(ca.along, ca.integral_slope)
+        + wp.outer(ab.along, ab.integral_slope)
+    )
+    shared = PhiTerms(_INVERSE_FOUR_PI / double_area, angle, angle_slope, height, normal, pull, pull_slope)
+    psi = _INVERSE_FOUR_PI * (bc.area * bc.integral + ca.area * ca.integral + ab.area * ab.integral - height * angle)
+    psi_slope = _INVERSE_FOUR_PI * (
+        bc.area_slope * bc.integral
+        + bc.area * bc.integral_slope
+        + ca.area_slope * ca.integral
+        + ca.area * ca.integral_slope
+        + ab.area_slope * ab.integral
+        + ab.area * ab.integral_slope
+        + angle * normal
+        - height * angle_slope
+    )
+    return GreenRows(phi_row(bc, shared), phi_row(ca, shared), phi_row(ab, shared), row_of(psi, psi_slope))
+
+
 @wp.kernel
 def bind_green(
     first: int,
@@ -214,72 +304,47 @@ def bind_green(
         a = vertices[face[0]] - x
         b = vertices[face[1]] - x
         c = vertices[face[2]] - x
-        cross = wp.cross(b - a, c - a)
-        double_area = wp.length(cross)
-        normal = cross / double_area
-        height = wp.dot(normal, a)
-        bc = edge_terms(b, c, normal)
-        ca = edge_terms(c, a, normal)
-        ab = edge_terms(a, b, normal)
-
-        la = wp.length(a)
-        lb = wp.length(b)
-        lc = wp.length(c)
-        det = height * double_area
-        cos_ab = wp.dot(a, b)
-        cos_bc = wp.dot(b, c)
-        cos_ca = wp.dot(c, a)
-        below = la * lb * lc + cos_ab * lc + cos_bc * la + cos_ca * lb
-        angle = _TWO * wp.atan2(det, below)
-        d_below = (
-            (a / la) * (lb * lc + cos_bc)
-            + (b / lb) * (la * lc + cos_ca)
-            + (c / lc) * (la * lb + cos_ab)
-            + (a + b) * lc
-            + (b + c) * la
-            + (c + a) * lb
-        )
-        # d det = -cross . dx, d below = -d_below . dx
-        angle_slope = (_TWO / (det * det + below * below)) * (det * d_below - below * cross)
-
-        pull = bc.integral * bc.along + ca.integral * ca.along + ab.integral * ab.along
-        pull_slope = (
-            wp.outer(bc.along, bc.integral_slope)
-            + wp.outer(ca.along, ca.integral_slope)
-            + wp.outer(ab.along, ab.integral_slope)
-        )
-        scale = _INVERSE_FOUR_PI / double_area
-        for k in range(3):
-            terms = bc
-            if k == 1:
-                terms = ca
-            elif k == 2:
-                terms = ab
-            reach = wp.dot(terms.along, pull)
-            value = scale * (terms.area * angle + height * reach)
-            slope = scale * (
-                terms.area_slope * angle
-                + terms.area * angle_slope
-                - reach * normal
-                + height * (wp.transpose(pull_slope) * terms.along)
-            )
-            scratch[face[k], n] = scratch[face[k], n] + row_of(value, slope)
-        psi = _INVERSE_FOUR_PI * (
-            bc.area * bc.integral + ca.area * ca.integral + ab.area * ab.integral - height * angle
-        )
-        psi_slope = _INVERSE_FOUR_PI * (
-            bc.area_slope * bc.integral
-            + bc.area * bc.integral_slope
-            + ca.area_slope * ca.integral
-            + ca.area * ca.integral_slope
-            + ab.area_slope * ab.integral
-            + ab.area * ab.integral_slope
-            + angle * normal
-            - height * angle_slope
-        )
-        rows[count + f, n] = wp.vec4(row_of(psi, psi_slope))
+        green = green_rows(a, b, c)
+        scratch[face[0], n] = scratch[face[0], n] + green.a
+        scratch[face[1], n] = scratch[face[1], n] + green.b
+        scratch[face[2], n] = scratch[face[2], n] + green.c
+        rows[count + f, n] = wp.vec4(green.psi)
     for j in range(count):
         rows[j, n] = wp.vec4(scratch[j, n])
+
+
+@wp.kernel
+def bind_biharmonic(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    scratch: wp.array2d(dtype=wp.vec4d),
+    rows: wp.array2d(dtype=wp.vec4d),
+):
+    """rows (v + 3 f, n): those of `bind_green`, then D and S of each face, see kernels/coordinates/biharmonic.py."""
+    n = first + wp.tid()
+    x = points[n]
+    count = vertices.shape[0]
+    second = count + faces.shape[0]
+    third = second + faces.shape[0]
+    for j in range(count):
+        scratch[j, n] = wp.vec4d()
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        a = vertices[face[0]] - x
+        b = vertices[face[1]] - x
+        c = vertices[face[2]] - x
+        green = green_rows(a, b, c)
+        scratch[face[0], n] = scratch[face[0], n] + green.a
+        scratch[face[1], n] = scratch[face[1], n] + green.b
+        scratch[face[2], n] = scratch[face[2], n] + green.c
+        rows[count + f, n] = green.psi
+        layers = face_layers(a, b, c)
+        rows[second + f, n] = row_of(layers.second, layers.second_slope)
+        rows[third + f, n] = row_of(layers.third, layers.third_slope)
+    for j in range(count):
+        rows[j, n] = scratch[j, n]
 
 
 #: Gradients of maximum likelihood coordinates are forward differences over this share of the size.

@@ -15,6 +15,7 @@ from warpcage import (
     Cage,
     Deformer,
     SplatField,
+    biharmonic_coordinates,
     deform_points,
     green_coordinates,
     harmonic_coordinates,
@@ -104,6 +105,7 @@ FUNCTIONS = {
     "maximum_likelihood_coordinates": lambda points, device: [
         maximum_likelihood_coordinates(points, BOX, device=device)
     ],
+    "biharmonic_coordinates": lambda points, device: biharmonic_coordinates(points, BOX, device=device),
     "green_coordinates": lambda points, device: green_coordinates(points, BOX, device=device),
     "harmonic_coordinates": lambda points, device: [harmonic_coordinates(points, BOX, 12, device=device)],
     "contains": lambda points, device: [BOX.contains(points, device=device)],

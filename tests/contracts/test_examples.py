@@ -136,8 +136,8 @@ def test_a_soft_body_carries_what_it_holds(run, tmp_path):
 def test_compare_coordinates(run, tmp_path):
     said = run("compare_coordinates.py", "--size 60 --out out")
     reach = {line.split()[0]: float(line.rsplit(" ", 1)[1]) for line in said.splitlines() if "other leg" in line}
-    assert reach["harmonic"] < reach["maximum_likelihood"] < 0.5 * reach["mean_value"] and len(reach) == 4
-    assert read_image(tmp_path / "out" / "coordinates.png").shape[1] == 5 * 60 + 4 * 4
+    assert reach["harmonic"] < reach["biharmonic"] < reach["maximum_likelihood"] < 0.5 * reach["mean_value"]
+    assert read_image(tmp_path / "out" / "coordinates.png").shape[1] == 6 * 60 + 5 * 4
 
 
 @pytest.mark.scaled

@@ -91,7 +91,7 @@ def test_coordinates_do_not_depend_on_the_unit(scale, device):
     for weights in (mean_value_coordinates, lambda *given, **options: green_coordinates(*given, **options)[0]):
         usual, other = weights(POINTS, BOX, device=device), weights(POINTS * scale, cage, device=device)
         assert np.abs(usual - other).max() < 1e-6
-    for kind in ("mean_value", "green", "maximum_likelihood"):
+    for kind in ("mean_value", "green", "maximum_likelihood", "biharmonic"):
         usual = deform_points(POINTS, BOX, TURNED, kind, device=device)
         other = deform_points(POINTS * scale, cage, scaled(TURNED, scale), kind, device=device) / scale
         assert np.abs(usual - other).max() < 1e-6

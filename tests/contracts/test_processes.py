@@ -92,7 +92,7 @@ def test_no_task_goes_on_after_an_interrupt_or_an_error(error, two_threads, heed
     assert run_parallel([lambda k=k: k * k for k in range(5)], threads=2) == [0, 1, 4, 9, 16]
 
 
-@pytest.mark.parametrize("kind", ["harmonic", "mean_value", "green", "maximum_likelihood"])
+@pytest.mark.parametrize("kind", ["harmonic", "mean_value", "green", "maximum_likelihood", "biharmonic"])
 def test_launches_over_several_threads_give_the_same_to_the_bit(kind):
     rest = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
     points = np.random.default_rng(3).uniform(-0.9, 0.9, (500, 3))

@@ -16,6 +16,7 @@ from splat_scenes import scene_of, splats_in_box
 
 import warpcage
 from warpcage import Cage, Deformer, PositionMap
+from warpcage.core import COORDINATES
 
 STEPS = 2  #: the second one finds graphs and recorded launches of the first
 COUNT = len(BOX.vertices)
@@ -66,7 +67,7 @@ def world(tmp_path_factory):
             cameras = [view(eye=eye, size=12) for eye in ((2.5, 0, 0.5), (0, 2.5, 0.5), (-2.5, 0, 0.5))]
             folder = write_files(tmp_path_factory.mktemp("tapes"))
             field.save(folder / "loaded.npz")
-            warm = {"harmonic": 16, "mean_value": 16, "green": None, "maximum_likelihood": 16}
+            warm = {"harmonic": 16, "mean_value": 16, "green": None, "maximum_likelihood": 16, "biharmonic": 16}
             held[device] = {
                 "device": device,
                 "folder": folder,
@@ -97,7 +98,7 @@ def saved(world, item, name):
 
 def by_kind(call):
     """A call by each kind of coordinates."""
-    return lambda world, x: [call(world, x, kind) for kind in ("harmonic", "mean_value", "green", "maximum_likelihood")]
+    return lambda world, x: [call(world, x, kind) for kind in COORDINATES]
 
 
 #: What programs call at each step, by the public name: a world and the vertices of the step.
@@ -165,6 +166,7 @@ CALLS = {
     "fit_splats": lambda w, x: warpcage.fit_splats(
         w["splats"], w["cameras"], [np.zeros((12, 12, 3), np.float32)] * 3, steps=2, progress=False
     ),
+    "biharmonic_coordinates": lambda w, x: warpcage.biharmonic_coordinates(w["points"], BOX.with_vertices(x)),
     "green_coordinates": lambda w, x: warpcage.green_coordinates(w["points"], BOX.with_vertices(x)),
     "harmonic_coordinates": lambda w, x: warpcage.harmonic_coordinates(w["points"], BOX.with_vertices(x), 12),
     "load_scene": lambda w, x: warpcage.load_scene(w["folder"] / "scene"),

@@ -13,7 +13,7 @@ from warpcage.core import recorded_launches
 from warpcage.field import LayeredBackground, OuterField, harmonics_on_host, tables
 from warpcage.render import FramePlan, scene
 
-KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood")
+KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood", "biharmonic")
 SIZE = 64
 BOX = Cage.box([-0.75, -0.55, -0.4], [0.75, 0.55, 0.4], segments=2)
 

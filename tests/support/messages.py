@@ -47,6 +47,7 @@ MESSAGES = {
     "coordinates.points_at_a_time": "weights of 10000 points.*GiB.*: take fewer points at a time",
     "coordinates.points_outside": r"^2 of 300 points are outside .* the first is point 7 at \(.*\).*$",
     "coordinates.rows_outside": "2 of 3 points are outside the cage, the first is row 1",
+    "coordinates.too_many_faces": "are for cages of up to 2048 triangles, this one has {count}: take a simpler cage",
     "core.damaged_kernels": "the compiled kernels in {folder} are damaged, .*: remove it",
     "core.dependencies": "ImportError: warpcage needs numpy warp-lang imageio: pip install -e {folder}",
     "core.kernel_meant": "'mean_valu'.*did you mean coordinates/mean_value",

@@ -13,7 +13,7 @@ from typing_extensions import assert_type
 import warpcage
 from warpcage import Cage, Deformer, Frame, Frames, PoseFile, SplatField, VoxelField
 
-Kind = Literal["harmonic", "mean_value", "green", "maximum_likelihood"]
+Kind = Literal["harmonic", "mean_value", "green", "maximum_likelihood", "biharmonic"]
 
 
 def follow(done: int, total: int, words: str) -> bool:

@@ -1,4 +1,4 @@
-"""Cage coordinates of points (mean value, green, maximum likelihood, harmonic), and points moved by a cage."""
+"""Cage coordinates of points (a function for each kind), and points moved by a cage."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ from ..core.reports import Progress, reports_progress
 from ..errors import InputError
 from ..kernels.coordinates import local_points
 from ..kernels.lattice import cage_map
+from ..lattice.closed_form import closed_form_weights
 from ..lattice.position_map import PositionMap
 from ..mesh import faces as face_geometry
+from ..mesh.biharmonic import LayerEquations
 from ..mesh.match import posed_mesh, require_same_faces, with_faces_of
 from ..mesh.mesh import ClosedMesh, prepared_fans, prepared_quads, require_mesh
 from ..mesh.queries import SURFACE_TOLERANCE, inside_mesh
-from ..mesh.surface import merge_rows
 from ..mesh.validity import require_usable, size_problem
 from .harmonic import HARMONIC_RESOLUTION, harmonic_weights
 
@@ -247,9 +248,9 @@ def deform_points(
         points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
         rest: Usable Cage around the points.
         deformed: The same faces in another pose, or its vertices (v, 3) in world units as an array of any library.
-        coordinates: "mean_value" (the default here, as it holds for any point), "green", "maximum_likelihood" or
-            "harmonic" (the default of a Deformer; here on a lattice of 128 cells along the longest side). Their poses
-            differ: name the one that a Deformer has to have points go with it.
+        coordinates: "mean_value" (the default here, as it holds for any point), "green", "biharmonic",
+            "maximum_likelihood" or "harmonic" (the default of a Deformer; here on a lattice of 128 cells along the
+            longest side). Their poses differ: name the one that a Deformer has to have points go with it.
         device: Warp device. None is the device of an array on a device, else CUDA where there is one.
         outside: What happens to points outside of `rest`, by more than 1e-5 of its size. "extend" moves them too
             (mean_value alone, up to 1000 times the size away); "raise" refuses them; "nan" makes NaN of them. None is
@@ -282,17 +283,19 @@ def move_in_closed_form(
     device, center = local.device, deformed.bounds.mean(axis=0)
     vertices, _ = _cage_arrays(rest, local)
     faces = wp.array(rest.topology.fans.faces, dtype=wp.vec3i, device=device)
-    targets = ((deformed.vertices - center) / rest.size).astype(np.float32)
+    targets = (deformed.vertices - center) / rest.size
     inputs, field = [local.points, vertices, faces, prepared_fans(vertices, faces, 1.0)], "map_points"
     if rest.quads is not None and kind.map_quads:
         quads, field = wp.array(rest.quads, dtype=wp.vec4i, device=device), "map_quads"
         inputs = [local.points, vertices, quads, prepared_quads(vertices, quads, 1.0)]
-    inputs.append(wp.array(targets, dtype=wp.vec3, device=device))
+    inputs.append(wp.array(targets.astype(np.float32), dtype=wp.vec3, device=device))
     positions = empty_array(local.count, wp.vec3, device)
     outputs: list[Any] = [positions]
     if kind.has_face_weights:
-        normals = stretched_normals(rest, deformed)[rest.topology.fans.order].astype(np.float32)
-        inputs.append(wp.array(normals, dtype=wp.vec3, device=device))
+        face_values = stretched_normals(rest, deformed)[rest.topology.fans.order]
+        if kind.face_layers > 1:
+            face_values = LayerEquations(rest, rest.topology.fans.faces, 1.0).solve(targets, face_values)
+        inputs.append(wp.array(face_values.astype(np.float32), dtype=wp.vec3, device=device))
         outputs.append(local.bad[2:])
     launch(kind.load(field), local.count, [*inputs, 1.0], outputs, device=device, work=len(rest.faces))
     world = _restored(positions, local, center, rest.size)
@@ -371,25 +374,26 @@ def _weigh(
 ) -> list[wp.array]:
     """Weights of vertices (n, v), and of faces (n, f) in world units where there are any, by a closed form."""
     local, lost, cage = _checked_points(kind, points, cage, device, outside)
-    columns = [len(cage.vertices)] + [len(cage.faces)] * kind.has_face_weights
-    _require_room(local, sum(columns) + (0 if cage.operator is None else cage.own_count))
-    weights = [empty_array((local.count, count), wp.float32, local.device) for count in columns]
-    inputs, field = [local.points, *_cage_arrays(cage, local), 1.0], "weigh_points"
+    _require_room(local, _row_length(kind, cage))
+    vertices, faces = _cage_arrays(cage, local)
+    field = "weigh_points"
     if cage.quads is not None and kind.weigh_quads:
-        inputs[2], field = wp.array(cage.quads, dtype=wp.vec4i, device=local.device), "weigh_quads"
-    launch(kind.load(field), local.count, inputs, weights, device=local.device, work=len(cage.faces))
+        faces, field = wp.array(cage.quads, dtype=wp.vec4i, device=local.device), "weigh_quads"
+    weights = closed_form_weights(kind, local.points, vertices, faces, cage, 1.0, field)
     if kind.is_iterative and local.count:
         _require_solved(local, kind, weights[0][:, 0], lost)
-    if cage.operator is not None:
-        merged = empty_array((local.count, cage.own_count), wp.float32, local.device)
-        merge_rows(weights[0].transpose([1, 0]), cage.operator, merged.transpose([1, 0]))
-        weights[0] = merged
     for lengths in weights[1:]:
         launch(local_points.scale_rows, local.count, [cage.size], [lengths], device=local.device)
     if len(lost):
         for array in weights:
             _set_nan(array, lost)
     return weights
+
+
+def _row_length(kind: CoordinateKind, cage: ClosedMesh) -> int:
+    """Numbers that are held for each point while it is weighed."""
+    faces = kind.has_face_weights * len(cage.faces)
+    return len(cage.vertices) + faces + (0 if cage.operator is None else cage.own_count)
 
 
 def _checked_points(
@@ -429,6 +433,41 @@ def green_coordinates(
             cage that is open, inward or degenerate, for too little memory on the device, and for another `outside`.
     """
     vertex_weights, face_weights = _weigh(COORDINATE_KINDS["green"], points, cage, device, outside)
+    return as_given(vertex_weights, points), as_given(face_weights, points)
+
+
+@points_in_turn
+@device_by_name
+def biharmonic_coordinates(
+    points: PointsLike, cage: ClosedMesh, *, device: wp.DeviceLike = None, outside: str = "raise"
+) -> tuple[Any, Any]:
+    """Biharmonic coordinates of points inside a cage, with control of derivatives.
+
+    x = vertex_weights @ vertices + face_weights @ normals, with the unit outward normals. A deformed cage takes its
+    vertices and `stretched_normals(cage, deformed)` in their place: the Laplacian of the map is harmonic, at the
+    middles of faces it is there and has that slope along the normal, and between them it is off the cage by about a
+    hundredth of the size or less (docs/coordinates.md). Weights are good to about 1e-5. Points within 1e-5 of the
+    cage's size of its surface, on either side, get the limit from inside. Source: after Weber, Poranne and Gotsman,
+    "Biharmonic coordinates" (CGF 2012), and Thiery, Michel and Chen, "Biharmonic coordinates and their
+    derivatives for triangular 3D cages" (TOG 2024), with Laplacians that are constant on faces, as
+    kernels/coordinates/biharmonic.py has it.
+
+    Args:
+        points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
+        cage: Usable Cage of v vertices and f faces, at most 2,048 of which.
+        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+        outside: "raise" refuses points outside; "nan" fills their rows with NaN.
+
+    Returns:
+        Vertex weights (n, v) and face weights (n, f), float32, arrays of the points' kind on their device; the latter
+        are lengths in world units.
+
+    Raises:
+        ValueError: For points outside (with their number and the first of them), of another shape or not finite, for a
+            cage that is open, inward, degenerate or of more faces, for too little memory on the device, and for another
+            `outside`.
+    """
+    vertex_weights, face_weights = _weigh(COORDINATE_KINDS["biharmonic"], points, cage, device, outside)
     return as_given(vertex_weights, points), as_given(face_weights, points)
 
 

@@ -109,8 +109,8 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
             vertices go with the cages that they are in, as `deform_points` moves them.
         rest: A Cage around what is to be deformed, as it is in the field; or a list of Cage or CageEdit, each of which
             acts on the scene that the ones before it left.
-        coordinates: "harmonic", "mean_value", "green" or "maximum_likelihood". The default is harmonic, as in the
-            paper; `deform_points` has mean value: name one kind in both for the same map.
+        coordinates: "harmonic", "mean_value", "green", "maximum_likelihood" or "biharmonic". The default is harmonic,
+            as in the paper; `deform_points` has mean value: name one kind in both for the same map.
         resolution: Cells of the map's lattice along the longest side of a cage. None evaluates mean value or Green
             coordinates at every sample, which is slow: the paper's "precise". For splats None is 128; they need no
             lattice for one edit with mean value or Green coordinates.

@@ -1,8 +1,9 @@
-"""Mean value, Green and maximum likelihood maps on the nodes of a lattice."""
+"""Mean value, Green, maximum likelihood and biharmonic maps on the nodes of a lattice."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -14,20 +15,66 @@ from ..core.devices import DEFAULT_WORK, launch
 from ..errors import InputError
 from ..kernels.coordinates.local_points import find_not_finite
 from ..kernels.lattice.cage_map import place_nodes
-from ..kernels.lattice.closed_form import interpolate_nodes, map_crossings_green, stretch_normals
+from ..kernels.lattice.closed_form import interpolate_nodes, stretch_normals
 from ..kernels.lattice.corrections import correct_values, measure_corrections
 from ..kernels.lattice.nodes import RINGS
-from ..mesh.faces import StretchTarget
+from ..mesh.biharmonic import LayerEquations, require_few_faces
+from ..mesh.faces import StretchTarget, stretched_normals
 from ..mesh.mesh import ClosedMesh, prepared_fans
 from ..mesh.surface import merge_rows
+from .buffers import PoseConstants
 from .gaps import MapTarget
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes, continue_outwards, continue_through_cage
 from .sizes import NodeSections, PoseSizes
 from .solver import MapSolver, WeightBlock
 
+#: Points whose layers, of faces that have several, are held at a time.
+CHUNK = 1 << 13
+
 #: Where iterations may find no coordinates.
 _WITHOUT = "where the posed cage passes through itself, is inside out or a hundred times wider than high"
+
+
+def weight_operator(kind: CoordinateKind, cage: ClosedMesh, faces: wp.array, size: float) -> Any:
+    """The operator (see `merge_rows`) from what kernels weigh, of the vertices of a surface and layers of faces, to the
+    vertices of the mesh that it is of and one weight a face; None where these are the same. size: in the kernels."""
+    return LayerEquations(cage, faces.numpy(), size).row_operator() if kind.face_layers > 1 else cage.operator
+
+
+def closed_form_weights(
+    kind: CoordinateKind,
+    points: wp.array,
+    vertices: wp.array,
+    faces: wp.array,
+    cage: ClosedMesh,
+    size: float,
+    field: str = "weigh_points",
+) -> list[wp.array]:
+    """Weights (n, v) of the vertices that a cage has of its own, and (n, f) of `faces` where they have any.
+    size: of the cage, in the unit of points and vertices."""
+    device, count, operator = points.device, points.size, weight_operator(kind, cage, faces, size)
+    kernel, work, corners = kind.load(field), len(cage.faces), vertices.size
+    if kind.face_layers > 1:
+        own = cage.own_count
+        weights = [empty_array((count, width), wp.float32, device) for width in (own, faces.size)]
+        rows = empty_array((min(count, CHUNK), operator.shape[0]), wp.float64, device)
+        for begin in range(0, count, CHUNK):
+            items = min(CHUNK, count - begin)
+            inputs = [points[begin : begin + items], vertices, faces, size]
+            part: Any = rows[:items]
+            launch(kernel, items, inputs, [part[:, :corners], part[:, corners:]], device=device, work=work)
+            for columns, each in zip((operator[:, :own], operator[:, own:]), weights, strict=True):
+                merged: Any = each[begin : begin + items]
+                merge_rows(part.transpose([1, 0]), columns, merged.transpose([1, 0]))
+        return weights
+    weights = [empty_array((count, width), wp.float32, device) for width in [corners] + [faces.size] * kind.face_layers]
+    launch(kernel, count, [points, vertices, faces, size], weights, device=device, work=work)
+    if operator is not None:
+        summed = empty_array((count, cage.own_count), wp.float32, device)
+        merge_rows(weights[0].transpose([1, 0]), operator, summed.transpose([1, 0]))
+        weights[0] = summed
+    return weights
 
 
 class ClosedFormSolver(MapSolver):
@@ -73,15 +120,7 @@ class ClosedFormSolver(MapSolver):
         points = empty_array(self.nodes.sections.finest_inside, wp.vec3, self.device)
         self._launch(place_nodes, points.size, [0, self.nodes.levels], [points])
         faces = self._faces if self._kind.has_face_weights else self.lattice.faces
-        columns = [self.lattice.vertices.size] + [faces.size] * self._kind.has_face_weights
-        weights = [empty_array((points.size, count), wp.float32, self.device) for count in columns]
-        inputs = [points, self._vertices, faces, self._size]
-        self._launch(self._kind.load("weigh_points"), points.size, inputs, weights, all_faces=True)
-        cage = self.lattice.cage
-        if cage.operator is not None:
-            merged = empty_array((points.size, cage.own_count), wp.float32, self.device)
-            merge_rows(weights[0].transpose([1, 0]), cage.operator, merged.transpose([1, 0]))
-            weights[0] = merged
+        weights = closed_form_weights(self._kind, points, self._vertices, faces, self.lattice.cage, self._size)
         return [(0, weights[0], weights[1] if self._kind.has_face_weights else None)]
 
     @abstractmethod
@@ -176,6 +215,7 @@ class GreenSolver(ClosedFormSolver):
 
     def __init__(self, lattice: CageLattice, kind: CoordinateKind):
         super().__init__(lattice, kind)
+        self._map_crossings = kind.load("map_crossings")
         self._rest: ClosedMesh | None = None
         self._rest_faces: list[wp.array] = []
         self._face_values = empty_array(self._faces.size, wp.vec3, self.device)
@@ -206,7 +246,7 @@ class GreenSolver(ClosedFormSolver):
         """Launch the limit of the map from inside where links cross the cage at narrow gaps; see MapSolver."""
         values = self.weighted_values(target)
         inputs = [self.nodes.levels, rows, marks, self._vertices, self._faces, self._fans, *values, self._size]
-        self._launch(map_crossings_green, boundary.size, inputs, [boundary], all_faces=True)
+        self._launch(self._map_crossings, boundary.size, inputs, [boundary], all_faces=True)
 
     def _launch_map(self, sections: NodeSections, target: MapTarget, values: wp.array) -> None:
         cage = [self._vertices, self._faces, self._fans, *self.weighted_values(target), self._size]
@@ -215,3 +255,39 @@ class GreenSolver(ClosedFormSolver):
     def continue_map(self, sections: NodeSections, vertex_values: wp.array, values: wp.array) -> None:
         for ring in range(RINGS):
             continue_outwards(ring, self.lattice, self.nodes.levels, sections, vertex_values, values)
+
+
+class BiharmonicSolver(GreenSolver):
+    """Biharmonic maps: as Green maps, with more on the faces, which the host solves for."""
+
+    # They meet the cage to about a hundredth of its size or less, so they are continued from inside as Green maps are.
+
+    def __init__(self, lattice: CageLattice, kind: CoordinateKind):
+        super().__init__(lattice, kind)
+        require_few_faces(self._faces.size)
+        self._is_solved = True
+        self._sent = PoseConstants(self.device, [(kind.face_layers * self._faces.size, wp.vec3)])
+
+    def write_values(self, rest: ClosedMesh, matrix: np.ndarray) -> None:
+        """Solve for what faces carry, of the pose and vertex values that the lattice has; see MapSolver."""
+        lattice, posed = self.lattice, self.lattice.cage
+        stretched = stretched_normals(posed, StretchTarget.of(rest)) - matrix @ StretchTarget.of(posed).normals
+        slopes = stretched.T[posed.topology.fans.order] * (lattice.spacing / rest.size)
+        equations = LayerEquations(posed, posed.topology.fans.faces, posed.size / lattice.spacing)
+        try:
+            found = equations.solve(lattice.map_constants.vertex_values.host, slopes)
+        except InputError:  # of a pose that is not usable, as the caller says once the device is done
+            found = np.full(self._sent.slots[0].host.shape, np.nan)
+        self._is_solved = bool(np.isfinite(found).all())
+        self._sent.slots[0].host[:] = found
+
+    def take_status(self, status: np.ndarray) -> None:
+        """Note how a solution ended; warn where there was none."""
+        super().take_status(status)
+        if not self._is_solved:
+            warn_caller(f"no {self._kind.name} coordinates are found, as faces of the posed cage lie on each other")
+
+    def weighted_values(self, target: MapTarget) -> tuple[wp.array, wp.array]:
+        """Values at vertices (v,), and of faces (3 f,) the slopes, Laplacians and their slopes, which are sent."""
+        self._sent.send()
+        return target.vertex_values, self._sent.slots[0].array

@@ -62,7 +62,7 @@ class PositionMap(HeldOnDevice):
 
     Args:
         rest: The canonical Cage.
-        coordinates: "harmonic", "mean_value", "green" or "maximum_likelihood" (coordinate_kinds.py).
+        coordinates: "harmonic", "mean_value", "green", "maximum_likelihood" or "biharmonic" (coordinate_kinds.py).
         resolution: Cells along the longest side of the deformed cage, 8 to 1024.
         origin: (3,) world point that device arrays are relative to. None is the middle of the rest cage's bounding box.
         device: Warp device. None is CUDA where there is one.
@@ -387,6 +387,8 @@ class PositionMap(HeldOnDevice):
         constants.vertex_values.host[:] = (rest.vertices - (deformed.vertices @ matrix.T + offset)) / rest.size
         constants.affine.host[:3] = matrix.T * lattice.spacing
         constants.affine.host[3] = matrix @ lattice.lower + offset - self.origin
+        assert self.launches is not None
+        self.launches.solver.write_values(rest, matrix)
 
     def _map_positions(self, launches: PoseLaunches) -> None:
         """Fill the positions of the pose that is laid out: residual of the map, plus its affine part."""

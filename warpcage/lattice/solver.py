@@ -75,6 +75,10 @@ class MapSolver(HeldOnDevice, ABC):
         self.gaps.count.zero_()
         self._values.take(sizes.level_nodes).zero_()
 
+    def write_values(self, rest: ClosedMesh, matrix: np.ndarray) -> None:
+        """Write on the host what a pose sends besides the values at vertices that the lattice's map_constants hold;
+        matrix: (3, 3), of the affine part."""
+
     @abstractmethod
     def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:
         """Launch what fills the cleared values, at inside nodes and the rings around them, and the search for gaps."""

@@ -19,6 +19,7 @@ from ..errors import InputError
 from ..kernels.coordinates.local_points import find_not_finite
 from ..kernels.splats import lattice_rows, pose
 from ..kernels.splats.packed_rows import PackedRows, carry_packed, pack_rows
+from ..lattice.closed_form import weight_operator
 from ..mesh.faces import StretchTarget, column_cross, column_dot, face_edges, stretched_normals
 from ..mesh.mesh import ClosedMesh
 from ..mesh.surface import merge_rows
@@ -137,11 +138,13 @@ class CageBinding(HeldOnDevice):
         count, height, corners = len(points), self._fit.row_count, len(cage.vertices)
         groups = (height + 3) // 4
         kind = coordinate_kind(coordinates)
-        chunk = min(CHUNK, count) if kind.is_closed_form else count
+        step = max(1, CHUNK // 8) if kind.face_layers > 1 else CHUNK
+        chunk = min(step, count) if kind.is_closed_form else count
         need = 40 * groups * count + 16 * height * chunk if pack else 16 * height * count
-        merges = kind.is_closed_form and cage.operator is not None
+        merges = kind.is_closed_form and (cage.operator is not None or kind.face_layers > 1)
+        taken = corners + max(1, kind.face_layers) * (height - cage.own_count)  # rows that a kernel writes
         if kind.is_closed_form:
-            need += 32 * corners * chunk + merges * 16 * (corners + height) * chunk
+            need += 32 * corners * chunk + merges * (32 if kind.face_layers > 1 else 16) * taken * chunk
         require_memory(
             need,
             device,
@@ -171,20 +174,22 @@ class CageBinding(HeldOnDevice):
         vertices = wp.array((cage.vertices - center) / cage.size, dtype=wp.vec3d, device=device)
         faces = wp.array(cage.faces, dtype=wp.vec3i, device=device)
         scratch = _columns(corners, max(chunk, 1), wp.vec4d, device)
-        every = _columns(corners + height - cage.own_count, max(chunk, 1), wp.vec4, device) if merges else None
+        dtype = wp.vec4d if kind.face_layers > 1 else wp.vec4
+        every = _columns(taken, max(chunk, 1), dtype, device) if merges else None
+        operator = weight_operator(kind, cage, faces, 1.0) if count else None
         kernel = kind.load("bind_points")
         unsolved: Any = wp.zeros(1, dtype=int, device=device)
         if cage.quads is not None and kind.bind_quads is not None:
             faces, kernel = wp.array(cage.quads, dtype=wp.vec4i, device=device), kind.load("bind_quads")
-        for begin in range(0, count, CHUNK):
+        for begin in range(0, count, step):
             report_progress(progress, begin, count, "bind splats")
-            items = min(CHUNK, count - begin)
+            items = min(step, count - begin)
             into: Any = rows if pack else rows[:, begin : begin + items]
             inputs = [local[begin : begin + items], vertices, faces, scratch]
             outputs = [into if every is None else every]
             launch(kernel, items, inputs, outputs, device=device, work=4 * len(cage.faces))
             if every is not None:
-                merge_rows(every[:, :items], cage.operator, into)
+                merge_rows(every[:, :items], operator, into)
             if kind.is_iterative:
                 launch(find_not_finite, items, [into[0]], [unsolved], device=device)
             self._pack(begin, rows, items)

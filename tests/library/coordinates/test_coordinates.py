@@ -17,12 +17,13 @@ from warpcage.coordinates import stretched_normals
 from warpcage.core import COORDINATES, memory
 from warpcage.demo import brick_model
 
-CLOSED_FORMS = ["mean_value", "green", "maximum_likelihood"]
+CLOSED_FORMS = ["mean_value", "green", "maximum_likelihood", "biharmonic"]
 
 WEIGHTS = {
     "mean_value": coordinates.mean_value_coordinates,
     "green": coordinates.green_coordinates,
     "maximum_likelihood": coordinates.maximum_likelihood_coordinates,
+    "biharmonic": coordinates.biharmonic_coordinates,
     "harmonic": lambda points, cage, **options: coordinates.harmonic_coordinates(points, cage, 16, **options),
 }
 
@@ -155,7 +156,7 @@ def test_deform_points_is_the_weighted_sum(kind, device):
     rest, points = cage_and_points("concave")
     deformed = rest.with_vertices(rest.vertices + 0.2 * np.random.default_rng(4).normal(size=rest.vertices.shape))
     found = WEIGHTS[kind](points, rest, device=device)
-    phi, psi = found if kind == "green" else (found, np.zeros((len(points), len(rest.faces))))
+    phi, psi = found if isinstance(found, tuple) else (found, np.zeros((len(points), len(rest.faces))))
     wanted = phi @ deformed.vertices + psi @ stretched_normals(rest, deformed)
     moved = coordinates.deform_points(points, rest, deformed, kind, device=device)
     assert np.abs(moved - wanted).max() < 1e-5

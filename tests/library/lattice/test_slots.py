@@ -15,7 +15,7 @@ from warpcage import Cage, PositionMap, deform_points
 from warpcage.core import memory
 from warpcage.lattice import PoseGraph, PoseLaunches
 
-KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood")
+KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood", "biharmonic")
 
 
 def slots():

@@ -42,7 +42,7 @@ def test_prepared_fans_hold_what_faces_say(device):
     assert np.abs(prepared[:, 1, :3] - np.cross(b - a, c - a)).max() < 1e-6
 
 
-@pytest.mark.parametrize("kind", ["mean_value", "green", "maximum_likelihood"])
+@pytest.mark.parametrize("kind", ["mean_value", "green", "maximum_likelihood", "biharmonic"])
 def test_maps_are_the_same_in_any_order(kind, device):
     """Fans, the faces as they were, and in a random order, where next to none goes on with another."""
     vertices, faces = oracles.cage("concave")

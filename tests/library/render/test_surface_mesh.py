@@ -358,7 +358,7 @@ def test_what_a_mesh_refuses(device):
 # poses ----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["mean_value", "green", "harmonic", "maximum_likelihood"])
+@pytest.mark.parametrize("kind", ["mean_value", "green", "harmonic", "maximum_likelihood", "biharmonic"])
 def test_a_pose_moves_vertices_by_their_coordinates(kind, device):
     mesh = SurfaceMesh(0.7 * BALL.vertices, BALL.faces, colors=COLORS, device=device)
     posed = BOX.twist(40, axis="x").scale(1.1)

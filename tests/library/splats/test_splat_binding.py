@@ -15,7 +15,7 @@ from warpcage.kernels.splats.pose import CarriedSplats
 from warpcage.lattice import fit_affine
 from warpcage.splats import CageBinding, PoseFit, binding, fit_similarity, split_tree
 
-KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood")
+KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood", "biharmonic")
 ORIGIN = np.array([0.3, -0.2, 0.1])
 
 
@@ -44,7 +44,7 @@ def places(count=200, half=0.9):
 
 
 @pytest.mark.parametrize("packed", [False, True])
-@pytest.mark.parametrize("kind", ["mean_value", "green", "maximum_likelihood"])
+@pytest.mark.parametrize("kind", ["mean_value", "green", "maximum_likelihood", "biharmonic"])
 def test_a_pose_against_float64(kind, packed, device):
     """Places to 1e-6 of the size, Jacobians by central differences: 3e-4 of the largest entry where they are packed."""
     points, posed = places(), BOX.twist(70).bend(40).with_vertices(1.2 * BOX.twist(70).bend(40).vertices)
@@ -80,7 +80,7 @@ def test_points_bound_to_quads_have_rows_of_the_cages_own_vertices(kind, packed,
     found, _ = carried(kind, points, rest, posed, device, packed)
     expected = deform_points(points, cage, cage.twist(40), kind, device=device)
     np.testing.assert_allclose(found, expected, atol=(1e-2 if kind == "harmonic" else 5e-6) * cage.size)
-    rows = len(cage.vertices) + (len(rest.faces) if kind == "green" else 0)
+    rows = len(cage.vertices) + COORDINATE_KINDS[kind].has_face_weights * len(rest.faces)
     if not packed:
         assert CageBinding(points, rest, kind, ORIGIN, wp.get_device(device), 32, packed).rows.shape[0] == rows
 
@@ -97,7 +97,7 @@ def test_points_bound_in_several_launches(packed, device, monkeypatch):
 @pytest.mark.parametrize("kind", KINDS)
 def test_packed_affine_poses_are_exact(kind, device):
     points = places()
-    for matrix in (TURN, 1.3 * TURN if kind == "green" else AFFINE):
+    for matrix in (TURN, 1.3 * TURN if COORDINATE_KINDS[kind].has_face_weights else AFFINE):
         posed = BOX.with_vertices(BOX.vertices @ matrix.T + [0.2, -0.1, 3.0])
         found, jacobians = carried(kind, points, BOX, posed, device, True)
         np.testing.assert_allclose(found, points @ matrix.T + [0.2, -0.1, 3.0], atol=2e-6)

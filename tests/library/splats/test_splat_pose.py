@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
+from biharmonic_oracles import biharmonic_weights
 from field_oracles import random_field
 from oracles import green_weights, maximum_likelihood_weights, mean_value_weights
 from refusals import refused
@@ -11,12 +12,13 @@ from splat_scenes import covariances_of, drawn, one_splat, splats_in_box
 
 import warpcage
 from warpcage import Cage, CageEdit, Deformer
+from warpcage.coordinate_kinds import COORDINATE_KINDS
 from warpcage.coordinates import stretched_normals
 from warpcage.core import launch
 from warpcage.kernels.splats import pose
 from warpcage.splats import CageBinding, fit_similarity
 
-KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood")
+KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood", "biharmonic")
 BOX = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
 ROOM = Cage.box((-1.6, -1.6, -1.6), (1.6, 1.6, 1.6), segments=2)
 TURN = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
@@ -24,12 +26,13 @@ AFFINE = np.array([[1.2, 0.3, 0.0], [-0.1, 0.8, 0.2], [0.05, 0.0, 1.4]])
 
 
 def weights_of(kind, points, cage):
-    """(n, j) rows in float64: of vertices, Green's then of faces in sizes of the cage."""
+    """(n, j) rows in float64: of vertices, then of faces that have weights, in sizes of the cage."""
     if kind == "mean_value":
         return mean_value_weights(points, cage.vertices, cage.faces).astype(np.float64)
     if kind == "maximum_likelihood":
         return maximum_likelihood_weights(points, cage.vertices, cage.faces)
-    vertex, face = green_weights(points, cage.vertices, cage.faces)
+    weigh = green_weights if kind == "green" else biharmonic_weights
+    vertex, face = weigh(points, cage.vertices, cage.faces)
     return np.concatenate([vertex, face / cage.size], axis=1)
 
 
@@ -37,7 +40,7 @@ def forward_map(kind, points, rest, posed):
     """Where a posed cage takes points, from float64 weights."""
     rows = weights_of(kind, points, rest)
     moved = rows[:, : len(rest.vertices)] @ posed.vertices
-    if kind == "green":
+    if COORDINATE_KINDS[kind].has_face_weights:
         moved = moved + rows[:, len(rest.vertices) :] @ (rest.size * stretched_normals(rest, posed))
     return moved
 
@@ -55,10 +58,10 @@ def test_rows_of_harmonic_coordinates(device):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("way", ["forward", "backward"])
 def test_affine_poses_are_exact(kind, way, device):
-    """Rigid poses and (Green: similarities) affine ones: centres and covariances, and turns that are their rotation."""
+    """Centres, covariances and turns of rigid poses and of affine ones (with weights of faces: similarities)."""
     field = splats_in_box(device)
     deformer = Deformer(field, BOX, coordinates=kind, resolution=24, map=way)
-    for matrix in (TURN, 1.3 * TURN if kind == "green" else AFFINE):
+    for matrix in (TURN, 1.3 * TURN if COORDINATE_KINDS[kind].has_face_weights else AFFINE):
         posed = deformer.pose(BOX.with_vertices(BOX.vertices @ matrix.T + [0.2, -0.1, 3.0])).posed_splats()
         rows, centers, covariances, opacities = drawn(deformer)
         np.testing.assert_array_equal(rows, np.arange(field.splat_count))
@@ -84,7 +87,7 @@ def test_rest_is_rest_to_the_bit(kind, device):
     assert deformer.baked() is field
 
 
-@pytest.mark.parametrize("kind", ["mean_value", "green", "maximum_likelihood"])
+@pytest.mark.parametrize("kind", ["mean_value", "green", "maximum_likelihood", "biharmonic"])
 def test_a_twist_against_float64(kind, device):
     """Centres, and covariances by a Jacobian of differences, turns by SciPy's polar decomposition."""
     from scipy.linalg import polar
