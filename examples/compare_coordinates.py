@@ -22,7 +22,7 @@ from warpcage.view.camera import framing_orbit
 from warpcage.view.overlay import draw_cage
 from warpcage.view.pictures import contact_sheet, to_uint8, write_png
 
-KINDS = ("harmonic", "mean_value", "green", "maximum_likelihood")
+KINDS = ("harmonic", "mean_value", "green", "biharmonic", "maximum_likelihood")
 
 GAP = 0.08  # between the legs of a figure that is 1 wide
 

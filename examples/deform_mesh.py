@@ -23,7 +23,7 @@ rest = Cage.box(mesh.bounds * 1.05, segments=(3, 3, 1))
 
 # Pose the cage and let the model follow, once for each kind of coordinates.
 posed = rest.bend(70, axis="x", towards="z").twist(25, axis="x")
-for kind in ("mean_value", "green", "harmonic", "maximum_likelihood"):
+for kind in ("mean_value", "green", "harmonic", "maximum_likelihood", "biharmonic"):
     moved = mesh.copy()
     moved.vertices = deform_points(mesh.vertices, rest, posed, coordinates=kind)
     size = np.ptp(moved.vertices, axis=0)
@@ -41,7 +41,7 @@ turned = rest.rotate(40, axis="z")
 expected = trimesh.transform_points(
     mesh.vertices, trimesh.transformations.rotation_matrix(np.radians(40), (0, 0, 1), rest.bounds.mean(axis=0))
 )
-for kind in ("mean_value", "green", "harmonic", "maximum_likelihood"):
+for kind in ("mean_value", "green", "harmonic", "maximum_likelihood", "biharmonic"):
     moved = deform_points(mesh.vertices, rest, turned, coordinates=kind)
     assert np.abs(moved - expected).max() < 1e-4 * rest.size
 print("turned cages turn the model")
