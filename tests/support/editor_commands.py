@@ -56,6 +56,7 @@ KEEPING = [
     [{"do": "edit.change", "id": FIRST, "name": "Arm", "kind": "remove", "visible": True}],
     [{"do": "edit.order", "ids": [FIRST]}],
     [{"do": "cage.subdivide", "edit": FIRST}],
+    [{"do": "cage.subdivide", "edit": FIRST, "vertices": [0, 7]}],
     [{"do": "cage.box", "edit": FIRST, "vertices": [0, 7], "margin": 0.1}],
     [{"do": "cage.mirror", "edit": FIRST, "axis": "x", "place": 0.0}],
     [{"do": "camera.outside", "aspect": 0.2}],

@@ -361,21 +361,29 @@ class Cage(PosableMesh):
 
     # -- Other cages of the same object
 
-    def subdivide(self, times: int = 1) -> Cage:
-        """Cut every face at the middles of its edges, triangles and quads in four. The surface stays where it is.
+    def subdivide(self, times: int = 1, *, faces: ArrayLike | None = None, vertices: ArrayLike | None = None) -> Cage:
+        """Cut faces at the middles of their edges, triangles and quads in four. The surface stays where it is.
 
-        Faces of more corners are cut in as many quads around their middle.
+        Faces of more corners are cut in as many quads around their middle. Where only some are chosen, their neighbours
+        are cut so that all meet edge to edge: triangles in two, or in four where two of their edges are cut (red-green
+        refinement, Bank, Sherman and Weiser 1983); quads in two quads, three quads, or two quads and a triangle, and in
+        four where three of their edges are cut. New vertices are means of old ones, the same ones in every pose of a
+        cage, so poses subdivided alike are poses of the finer cage (see `PoseFile.subdivide`). Between chosen and other
+        faces a warped quad moves, by a sixteenth of its warp at most.
 
         Args:
             times: How often, 1 to 4.
+            faces: (k,) numbers of the faces that are cut; again, what they were cut in is. None chooses none.
+            vertices: (k,) numbers of the vertices whose faces are cut; again, their new faces are. None chooses none;
+                with neither, all faces are cut.
 
         Returns:
             The finer cage. The vertices of this one keep their numbers, new ones follow.
 
         Raises:
-            ValueError: For another number of times.
+            ValueError: For another number of times, numbers of no face or vertex, or both faces and vertices.
         """
-        return Cage(*subdivided(self, times))
+        return Cage(*subdivided(self, times, faces=faces, vertices=vertices))
 
     def simplify(
         self,

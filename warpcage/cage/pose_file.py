@@ -201,6 +201,31 @@ class PoseFile:
         closed = self.loop == "loop" and whole and np.array_equal(values[0], values[-1])
         return self.rest.with_vertices(value_at(times, values, seconds, easings, closed=closed))
 
+    def subdivide(
+        self, times: int = 1, *, faces: ArrayLike | None = None, vertices: ArrayLike | None = None
+    ) -> PoseFile:
+        """The same film of a finer cage: the cage at rest and all keyframes are cut alike; see `Cage.subdivide`.
+
+        Args:
+            times: How often, 1 to 4.
+            faces: (k,) numbers of the faces that are cut. None chooses none.
+            vertices: (k,) numbers of the vertices whose faces are cut. None chooses none; with neither, all are cut.
+
+        Returns:
+            The finer keyframes, with the same times, easings and cameras.
+
+        Raises:
+            ValueError: As `Cage.subdivide`.
+        """
+
+        def finer(pose: Cage) -> Cage:
+            return pose.subdivide(times, faces=faces, vertices=vertices)
+
+        file = PoseFile(finer(self.rest), ((name, finer(pose).vertices) for name, pose in self._poses.items()))
+        file.times, file.easings, file.cameras = dict(self.times), dict(self.easings), list(self.cameras)
+        file.fps, file.loop = self.fps, self.loop
+        return file
+
     def camera_at(self, seconds: float) -> Camera:
         """The camera at a time of its film; see `warpcage.view.camera_path.camera_at`.
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..core.checks import axis_index, checked_number, checked_whole
+from ..core.checks import axis_index, checked_number, checked_whole, shown
 from ..core.names import agreed, checked_choice, counted
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh, MeshTopology
@@ -188,39 +191,116 @@ def _outward(vertices: np.ndarray, faces: Faces, notes: list[str]) -> Faces:
     return [back if row else face for face, back, row in zip(faces, turned, rows, strict=True)]
 
 
-def subdivided(cage: ClosedMesh, times: int = 1) -> tuple[np.ndarray, np.ndarray | Faces]:
-    """Every face cut at the middles of its edges, 1 to 4 times: triangles in four, others in as many as they have
-    corners, around their middle. Vertices (v, 3) begin with the cage's; faces as a ClosedMesh takes them."""
+def subdivided(
+    cage: ClosedMesh, times: int = 1, *, faces: ArrayLike | None = None, vertices: ArrayLike | None = None
+) -> tuple[np.ndarray, np.ndarray | Faces]:
+    """Faces cut at the middles of their edges, 1 to 4 times; see `Cage.subdivide`. Vertices (v, 3) begin with the
+    cage's; faces as a ClosedMesh takes them."""
     times = checked_whole(times, "times", 1, 4)
+    everywhere = faces is None and vertices is None
+    if faces is not None and vertices is not None:
+        raise InputError("subdivide takes faces or vertices, not both")
+    if everywhere and cage.polygon_faces is None:
+        places, found = cage.vertices, cage.faces.astype(np.int64)
+        for _ in range(times):
+            places, found = cut_in_four(places, found)
+        return places, found
+    chosen = np.full(cage.face_count, everywhere)
+    if faces is not None:
+        chosen[_numbers(faces, "faces", cage.face_count)] = True
+    around = set() if vertices is None else set(_numbers(vertices, "vertices", len(cage.vertices)).tolist())
+    polygons, cuts = cage.polygon_faces, {}
+    if polygons is not None:  # what is solved on them as triangles is cut as these are
+        corners = cage.polygons
+        for number in polygons.cut.tolist():
+            cuts[corners[number]] = polygons.triangles[polygons.triangle_owner == number].tolist()
+    places, found, marks = cage.vertices, [list(face) for face in cage.polygons], chosen.tolist()
     for _ in range(times):
-        if cage.polygon_faces is None:
-            vertices, faces = cut_in_four(cage.vertices, cage.faces.astype(np.int64))
+        if around:
+            marks = [not around.isdisjoint(face) for face in found]
+        places, found, marks = _cut_at_middles(places, found, marks, cuts)
+    return places, found
+
+
+def _numbers(given: ArrayLike, name: str, count: int) -> np.ndarray:
+    """(k,) numbers of faces or vertices, checked."""
+    numbers = np.atleast_1d(np.asarray(given))
+    whole = numbers.ndim == 1 and numbers.dtype.kind in "iu" and len(numbers) > 0
+    if not whole or numbers.min() < 0 or numbers.max() >= count:
+        raise InputError(f"{name} must be whole numbers from 0 to {count - 1}, at least one, got {shown(given)}")
+    return numbers
+
+
+def _cut_at_middles(
+    vertices: np.ndarray, faces: Faces, chosen: list[bool], cuts: dict[tuple[int, ...], Faces]
+) -> tuple[np.ndarray, Faces, list[bool]]:
+    """Chosen faces with the middles of edges and, of more than three corners, of faces as further vertices; those
+    beside them join these. Also which faces are of chosen ones. cuts: triangles of faces that are none before."""
+    # As red-green refinement does (Bank, Sherman and Weiser 1983): a triangle of one edge cut in two is halved, of two
+    # it is cut as a chosen one, and so is a quad of three. Which pieces there are depends on the faces alone, so that
+    # all poses of a mesh get the same, and on no order of vertices, so that mirrored faces get mirrored ones.
+    rows = [(face, mine, mine) for face, mine in zip(faces, chosen, strict=True)]
+    split: set[tuple[int, int]] = set()
+    while True:
+        split |= {key for face, _, whole in rows if whole for key in _edge_keys(face)}
+        before, rows = rows, []
+        for face, mine, whole in before:
+            count = sum(key in split for key in _edge_keys(face))
+            pieces = cuts.get(tuple(face)) if count else None
+            if pieces is None:
+                rows.append((face, mine, whole or count == len(face) or (len(face) < 5 and count == len(face) - 1)))
+            else:
+                rows += [(piece, mine, whole) for piece in pieces]
+        if rows == before:
+            break
+    edges = sorted(split)
+    number = {key: len(vertices) + k for k, key in enumerate(edges)}
+    first, middles = len(vertices) + len(edges), []
+    found: Faces = []
+    marks: list[bool] = []
+    for face, mine, _ in rows:
+        after = [number.get(key) for key in _edge_keys(face)]
+        pieces, inner = _pieces(face, after, first + len(middles))
+        if inner:
+            middles.append(vertices[face].mean(axis=0))
+        found += pieces
+        marks += [mine] * len(pieces)
+    halves = vertices[np.array(edges, dtype=np.int64).reshape(-1, 2)].mean(axis=1)
+    return np.concatenate([vertices, halves, np.array(middles).reshape(-1, 3)]), found, marks
+
+
+def _edge_keys(face: Face) -> list[tuple[int, int]]:
+    return [(min(a, b), max(a, b)) for a, b in _sides(face)]
+
+
+def _pieces(face: Face, after: list[Any], middle: int) -> tuple[Faces, bool]:
+    """The faces that one is cut in, by the middles of its edges behind each corner (None: that edge is whole), and
+    whether its own middle is a corner of them."""
+    n, cut = len(face), [k for k, edge in enumerate(after) if edge is not None]
+    if not cut:
+        return [face], False
+    if n == 3 and len(cut) == 3:
+        ends = [list(each) for each in zip(face, after, [after[-1], *after[:-1]], strict=True)]
+        return [*ends, after], False
+    if n == 3 or (n == 4 and len(cut) == 2 and cut[1] - cut[0] == 2):
+        # in two, from the middle of the first edge to the opposite corner or middle
+        turned, edges = face[cut[0] :] + face[: cut[0]], after[cut[0] :] + after[: cut[0]]
+        far = turned[2:3] if n == 3 else edges[2:3]
+        rest = turned[3:]
+        return [[turned[0], edges[0], *far, *rest], [edges[0], *turned[1 : 2 if n == 3 else 3], *far]], False
+    pieces: Faces = []
+    for one, two in zip([cut[-1] - n, *cut[:-1]], cut, strict=True):  # what lies between two cut edges
+        corners = [face[k % n] for k in range(one + 1, two + 1)]
+        around = [after[one], *corners, after[two]]
+        if len(corners) == 1:
+            pieces.append([corners[0], around[2], middle, around[0]])
+        elif len(corners) == 2:
+            pieces += [[a, b, middle] for a, b in itertools.pairwise(around)]
         else:
-            vertices, faces = _cut_at_middles(cage)
-        cage = ClosedMesh(vertices, faces)
-    return cage.vertices, cage.face_array
-
-
-def _cut_at_middles(cage: ClosedMesh) -> tuple[np.ndarray, Faces]:
-    """Faces with the middles of edges and, of those of more than three corners, of faces as further vertices."""
-    polygons = cage.polygon_faces
-    assert polygons is not None
-    if len(polygons.cut):  # what is solved on them as triangles is cut as these are
-        whole = [list(face) for k, face in enumerate(cage.polygons) if k not in set(polygons.cut.tolist())]
-        cuts = polygons.triangles[np.isin(polygons.triangle_owner, polygons.cut)].tolist()
-        cage = ClosedMesh(cage.vertices, [*whole, *cuts])
-    number = {tuple(edge): len(cage.vertices) + k for k, edge in enumerate(cage.edges.tolist())}
-    vertices, faces, middles = [cage.vertices, cage.vertices[cage.edges].mean(axis=1)], [], []
-    first = len(cage.vertices) + len(cage.edges)
-    for face in cage.polygons:
-        after = [number[min(a, b), max(a, b)] for a, b in _sides(list(face))]
-        before = [after[-1], *after[:-1]]
-        if len(face) == 3:
-            faces += [list(each) for each in zip(face, after, before, strict=True)] + [after]
-            continue
-        faces += [[corner, b, first + len(middles), a] for corner, b, a in zip(face, after, before, strict=True)]
-        middles.append(cage.vertices[list(face)].mean(axis=0))
-    return np.concatenate([*vertices, np.array(middles).reshape(-1, 3)]), faces
+            pieces.append([*around[:3], middle])
+            pieces += [[a, b, middle] for a, b in itertools.pairwise(corners[1:-1])]
+            pieces.append([*around[-3:], middle])
+    return pieces, True
 
 
 def cut_in_four(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

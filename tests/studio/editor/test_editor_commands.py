@@ -234,6 +234,17 @@ def test_subdividing_puts_new_vertices_in_the_middle_of_edges_also_in_poses():
     assert len(edit.faces) == 4 * len(BOX.faces)
 
 
+def test_faces_at_some_vertices_are_cut_in_poses_and_keys_too():
+    start = with_key(done(document(), do="pose.set", edit=1, vertices=moved(REST).tolist()), REST * 2)
+    after = done(start, do="cage.subdivide", edit=1, vertices=[0])
+    edit, finer = after.edits[0], start.edits[0].rest_cage.subdivide(vertices=[0])
+    assert edit.rest_cage.polygons == finer.polygons and len(REST) < len(edit.rest) < len(BOX.subdivide().vertices)
+    np.testing.assert_allclose(edit.posed, moved(edit.rest), atol=1e-12)
+    np.testing.assert_allclose(after.timeline.keys[0].poses[1], edit.rest * 2, atol=1e-12)
+    assert after.selection.vertices == ()
+    assert "nothing is selected" in refused(start, do="cage.subdivide", edit=1, vertices=[])
+
+
 def test_another_cage_takes_the_pose_and_the_keys_along():
     start = with_key(done(document(), do="pose.set", edit=1, vertices=moved(REST).tolist()), REST * 2, time=0.5)
     start = with_key(start, REST, number=51)

@@ -253,14 +253,19 @@ def order_edits(document: Document, message: Message) -> Step:
 
 
 def subdivide_cage(document: Document, message: Message) -> Step:
-    """Cut every face of a cage in four. Poses follow: new vertices are the middles of edges there too."""
+    """Cut every face of a cage in four, or those at some vertices. Poses follow, by the same means of vertices."""
     edit = document.edit(message["edit"])
-    finer = edit.rest_cage.subdivide()
+    rest, chosen = edit.rest_cage, None
+    if "vertices" in message:
+        chosen = np.array(checked_vertices(message["vertices"], len(edit.rest)), dtype=np.int64)
+        if not len(chosen):
+            raise InputError("nothing is selected: select the vertices whose faces are cut")
+    finer = rest.subdivide(vertices=chosen)
     if len(finer.vertices) > MAX_VERTICES:
         raise InputError(f"the cage would have {len(finer.vertices)} vertices: at most {MAX_VERTICES} can be edited")
 
     def posed(pose: np.ndarray) -> np.ndarray:
-        return Cage(pose, edit.faces).subdivide().vertices
+        return rest.with_vertices(pose).subdivide(vertices=chosen).vertices
 
     return "subdivide", _with_cage(document, edit, finer, posed)
 

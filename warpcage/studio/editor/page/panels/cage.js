@@ -197,6 +197,7 @@ export function cageGroup() {
     button({ id: "cage-simplify", label: "Simplify…", title: "Fewer vertices, about the same shape", onClick: withActiveEdit(simplify) }),
     button({ id: "cage-box", label: "Box…", title: "A new edit: a box around the selected vertices", onClick: withActiveEdit(box) }),
   );
+  const cut = button({ id: "cage-refine", label: "Refine", title: "Cut the faces at the selected vertices, and what is beside them; the shape and the pose stay", onClick: withActiveEdit((edit) => request({ do: "cage.subdivide", edit: edit.id, vertices: selectedVertices() })) });
   const copy = button({ id: "cage-mirror", label: "Mirror…", title: "A new edit: this one on the other side of a plane, such as a second arm", onClick: withActiveEdit(mirror) });
   const verdict = el("p", { id: "check-verdict", class: "verdict" });
   const found = el("ul", { id: "check-lines", class: "check-lines", "aria-label": "What the check found" });
@@ -220,6 +221,7 @@ export function cageGroup() {
       { class: "grid" },
       button({ id: "cage-click", label: "Around a click…", title: "A cage around the object that is clicked, on the ground, a table or a wall, as a new edit", onClick: generateAround }),
       copy,
+      cut,
     ),
     check,
   );
@@ -228,7 +230,7 @@ export function cageGroup() {
     for (const element of refine.children) element.disabled = !edit;
     setText(size, edit ? `${edit.rest.length} vertices, ${edit.faces.length} faces` : "No cage selected.");
     copy.disabled = !edit;
-    document.getElementById("cage-box").disabled = !edit || !selectedVertices().length;
+    for (const name of ["cage-box", "cage-refine"]) document.getElementById(name).disabled = !edit || !selectedVertices().length;
   };
   const showCheck = () => {
     const { check: content } = store.sections;
