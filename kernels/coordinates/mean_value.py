@@ -19,7 +19,24 @@ from .face_slopes import STEP_INSIDE, distance_to_face, mean_value_slopes, off_t
 # so many registers per thread that larger blocks would fill a GPU less well
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
 
-forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.array2d(dtype=wp.float32),))
+
+@wp.struct
+class ExactPoint:
+    """A point in float64, off the cage."""
+
+    place: wp.vec3d
+    position: wp.vec3d
+    total: wp.float64  # sum of the weights
+
+
+forward_only = forward_only_in(
+    __name__,
+    (wp.vec3, wp.vec3),
+    (wp.vec4, wp.vec3),
+    (wp.vec3d, wp.vec3),
+    (wp.float64, wp.vec3),
+    (wp.array2d(dtype=wp.float32),),
+)
 
 #: Every face takes the float64 path where the sum of weights is between these over the size, as it is well outside.
 CANCELLED = wp.constant(10.0)
@@ -226,7 +243,7 @@ def weigh_in_double(
 
 
 @wp.func
-def mean_value_position(
+def mean_value_point(
     x: wp.vec3,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
@@ -234,7 +251,8 @@ def mean_value_position(
     targets: wp.array(dtype=wp.vec3),
     size: float,
 ):
-    """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage `vertices`. fans: see prepare_fans."""
+    """mean_value_position, and the sum of the weights before they are divided by it: 0 where the point lies on the
+    cage, or all faces were for float64."""
     total = float(0.0)
     position = wp.vec3(0.0, 0.0, 0.0)
     waiting = int(-1)  # faces for float64, done last: the points of a warp rarely meet theirs at the same face
@@ -279,12 +297,67 @@ def mean_value_position(
             w = near.weights
             along = w[0] * targets[face[0]] + w[1] * targets[face[1]] + w[2] * targets[face[2]]
             if near.touching == 1:
-                return along
+                return forward_only(wp.vec4(along[0], along[1], along[2], 0.0), x)
             total += w[0] + w[1] + w[2]
             position += along
     if has_cancelled(total, size):
-        return position_in_double(x, vertices, faces, targets, size)
-    return position * wp.where(total == 0.0, 0.0, 1.0 / total)
+        position = position_in_double(x, vertices, faces, targets, size)
+        total = 0.0
+    else:
+        position = position * wp.where(total == 0.0, 0.0, 1.0 / total)
+    return forward_only(wp.vec4(position[0], position[1], position[2], total), x)
+
+
+@wp.func
+def mean_value_position(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    size: float,
+):
+    """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage `vertices`. fans: see prepare_fans."""
+    point = mean_value_point(x, vertices, faces, fans, targets, size)
+    return wp.vec3(point[0], point[1], point[2])
+
+
+@wp.func
+def exact_point(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    targets: wp.array(dtype=wp.vec3),
+    size: float,
+):
+    """mean_value_position of x in float64, of a point on the cage STEP_INSIDE it, where slopes jump."""
+    result = ExactPoint()
+    result.place = wp.vec3d(x)
+    unit = wp.float64(size)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        p = wp.vec3d(vertices[face[0]]) - wp.vec3d(x)
+        q = wp.vec3d(vertices[face[1]]) - wp.vec3d(x)
+        r = wp.vec3d(vertices[face[2]]) - wp.vec3d(x)
+        if distance_to_face(p, q, r) < SNAP * unit:
+            result.place = wp.vec3d(x) - wp.normalize(wp.cross(q - p, r - p)) * (STEP_INSIDE * unit)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        p = wp.vec3d(vertices[face[0]]) - result.place
+        q = wp.vec3d(vertices[face[1]]) - result.place
+        r = wp.vec3d(vertices[face[2]]) - result.place
+        normal = wp.cross(q - p, r - p)
+        det = wp.dot(normal, p)
+        if wp.abs(det) > FLAT * unit * wp.length(normal):
+            w = weights_in_double(p, q, r, det)
+            result.total += w[0] + w[1] + w[2]
+            result.position += w[0] * wp.vec3d(targets[face[0]])
+            result.position += w[1] * wp.vec3d(targets[face[1]])
+            result.position += w[2] * wp.vec3d(targets[face[2]])
+    result.place = forward_only(result.place, x)
+    result.position = forward_only(result.position / result.total, x)
+    result.total = forward_only(result.total, x)
+    return result
 
 
 @gradient_of(face_weights, NearFace)
@@ -318,32 +391,11 @@ def grad_mean_value_position(
 ):
     """Slopes by the point, the cage (not its fans, which are the same once more) and the targets, in float64. On the
     cage they are those STEP_INSIDE it."""
-    y = wp.vec3d(x)
     unit = wp.float64(size)
-    for f in range(faces.shape[0]):
-        face = faces[f]
-        p = wp.vec3d(vertices[face[0]]) - wp.vec3d(x)
-        q = wp.vec3d(vertices[face[1]]) - wp.vec3d(x)
-        r = wp.vec3d(vertices[face[2]]) - wp.vec3d(x)
-        if distance_to_face(p, q, r) < SNAP * unit:
-            y = wp.vec3d(x) - wp.normalize(wp.cross(q - p, r - p)) * (STEP_INSIDE * unit)
-    total = _ZERO
-    position = wp.vec3d(_ZERO, _ZERO, _ZERO)
-    for f in range(faces.shape[0]):
-        face = faces[f]
-        p = wp.vec3d(vertices[face[0]]) - y
-        q = wp.vec3d(vertices[face[1]]) - y
-        r = wp.vec3d(vertices[face[2]]) - y
-        normal = wp.cross(q - p, r - p)
-        det = wp.dot(normal, p)
-        if wp.abs(det) > FLAT * unit * wp.length(normal):
-            w = weights_in_double(p, q, r, det)
-            total += w[0] + w[1] + w[2]
-            position += w[0] * wp.vec3d(targets[face[0]])
-            position += w[1] * wp.vec3d(targets[face[1]])
-            position += w[2] * wp.vec3d(targets[face[2]])
-    position = position / total
-    slope = wp.vec3d(grad) / total
+    point = exact_point(x, vertices, faces, targets, size)
+    y = point.place
+    position = point.position
+    slope = wp.vec3d(grad) / point.total
     by_point = wp.vec3d(_ZERO, _ZERO, _ZERO)
     for f in range(faces.shape[0]):
         face = faces[f]

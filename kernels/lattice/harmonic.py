@@ -3,11 +3,11 @@
 # V-cycles of red-black Gauss-Seidel, full weighting and trilinear prolongation (Brandt 1977; Briggs, Henson and
 # McCormick, "A Multigrid Tutorial") for the rows of cut_rows.py. On level l the row at node 0 is
 #   sum over uncut links u_k - d u_0 + b = 0,    d = 6, or the sum of 1 / theta at a cut node
-# with b the boundary values' sources on level 0 and 4 times the restricted residual on coarser ones (the spacing
-# doubles), where the correction's boundary values are zero. A sweep is red nodes, then black ones, whose residual it
-# leaves zero: only red residuals are restricted, only black nodes need the correction, and residuals lie in the red
-# values' place meanwhile. Coarser levels begin at zero: their first half sweep is load / d. The half sweep that ends a
-# cycle begins the next one: what it changes is the residual.
+# with b the boundary values' sources on level 0 (in an adjoint solution: a load at every node) and 4 times the
+# restricted residual on coarser ones (the spacing doubles), where the correction's boundary values are zero. A sweep is
+# red nodes, then black ones, whose residual it leaves zero: only red residuals are restricted, only black nodes need
+# the correction, and residuals lie in the red values' place meanwhile. Coarser levels begin at zero: their first half
+# sweep is load / d. The half sweep that ends a cycle begins the next one: what it changes is the residual.
 # values (nodes of all levels,) vec3, zero outside. A launch writes one colour and reads the other. Kernels take counts
 # from the device: launches may be longer than the list, so one CUDA graph serves poses with different counts. A CPU
 # takes what is the same for neighbours in a list from C++, with the same sums, to the bit; CUDA has an item a node.
@@ -33,13 +33,20 @@ class LaplaceSystem:
     sources: wp.array(dtype=wp.vec3)  # (rows of level 0,)
     loads: wp.array(dtype=wp.vec3)  # (nodes of levels 1 and up,) loads of the equations of the correction
     values: wp.array(dtype=wp.vec3)  # (nodes of all levels,) solution on level 0, corrections above
+    is_loaded: int  # 1: every row of level 0 has a load, loads (nodes of all levels,), in place of the sources
+
+
+@wp.func
+def first_loaded(system: LaplaceSystem):
+    """The node of loads[0]."""
+    return wp.where(system.is_loaded == 1, 0, system.levels.first_node[1])
 
 
 @wp.func
 def right_side(system: LaplaceSystem, level: int, node: int, code: int):
     """b of a node's row."""
-    if level > 0:
-        return system.loads[node - system.levels.first_node[1]]
+    if level > 0 or system.is_loaded == 1:
+        return system.loads[node - first_loaded(system)]
     if code >= 0:
         return system.sources[code]
     return wp.vec3(0.0, 0.0, 0.0)
@@ -126,13 +133,13 @@ def regular_run(
 @wp.func
 def swept_run(system: LaplaceSystem, level: int, begin: int, end: int, leaves: int, measures: int):
     """regular_run on a level."""
-    first_loaded = int(-1)
-    if level > 0:
-        first_loaded = system.levels.first_node[1]
+    loaded = int(-1)
+    if level > 0 or system.is_loaded == 1:
+        loaded = first_loaded(system)
     levels = system.levels
     shape = levels.shapes[level]
     return regular_run(
-        levels.codes, levels.nodes, system.values, system.loads, shape, first_loaded, begin, end, leaves, measures
+        levels.codes, levels.nodes, system.values, system.loads, shape, loaded, begin, end, leaves, measures
     )
 
 
@@ -157,7 +164,7 @@ def restricted_load(system: LaplaceSystem, level: int, node: int):
 def take_load(system: LaplaceSystem, level: int, node: int, is_red: bool):
     """Restrict to a node of `level` (1 and up) and, where it is red, relax it from zero."""
     load = restricted_load(system, level, node)
-    system.loads[node - system.levels.first_node[1]] = load
+    system.loads[node - first_loaded(system)] = load
     if is_red:
         system.values[node] = load / diagonal(system, system.levels.codes[node])
 
@@ -307,7 +314,7 @@ def restrict_residual(first: int, span: int, level: int, system: LaplaceSystem):
         levels.shapes[level - 1],
         levels.first_node[level],
         levels.first_node[level - 1],
-        levels.first_node[1],
+        first_loaded(system),
         n,
         black,
         end,

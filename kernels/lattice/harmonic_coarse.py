@@ -11,6 +11,7 @@ from .harmonic import (
     LARGEST_DIAGONAL,
     LaplaceSystem,
     diagonal,
+    first_loaded,
     prolonged_correction,
     relaxed_value,
     residual,
@@ -57,7 +58,7 @@ def held_row(system: LaplaceSystem, level: int, color: int, item: int):
         if code >= 0:
             links = system.rows.links[code]
         result.node = node
-        result.load = system.loads[node - system.levels.first_node[1]]
+        result.load = system.loads[node - first_loaded(system)]
         result.diagonal = diagonal(system, code)
         for d in range(6):
             step = wp.where(d < 2, shape[1] * shape[2], wp.where(d < 4, shape[2], 1))

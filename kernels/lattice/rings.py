@@ -82,6 +82,28 @@ def is_known(code: int, rings: int):
 
 
 @wp.func
+def direction_step(levels: NodeLevels, direction: int):
+    """From a node of level 0 to the next one along direction 0 .. 26 of the lattice; 0 for the middle one."""
+    shape = levels.shapes[0]
+    return ((direction / 9 - 1) * shape[1] + (direction / 3) % 3 - 1) * shape[2] + direction % 3 - 1
+
+
+@wp.func
+def known_along(levels: NodeLevels, node: int, rings: int, towards: wp.vec3, direction: int):
+    """How many values in a row are known along a direction of the lattice, 0 to 2, of inside nodes and the first
+    `rings` rings; none where it leads away from `towards`, where that is not zero."""
+    step = direction_step(levels, direction)
+    ahead = wp.vec3(float(direction / 9 - 1), float((direction / 3) % 3 - 1), float(direction % 3 - 1))
+    leads = wp.dot(ahead, towards) > 0.0 or wp.dot(towards, towards) == 0.0
+    code = levels.codes[node + step]  # without branches around the codes, so that they are read at once
+    far_code = levels.codes[wp.clamp(node + 2 * step, 0, levels.codes.shape[0] - 1)]
+    known = int(0)
+    if step != 0 and leads and is_known(code, rings):
+        known = wp.where(is_known(far_code, rings), 2, 1)
+    return known
+
+
+@wp.func
 def with_direction(
     sums: Extrapolation,
     levels: NodeLevels,
@@ -91,23 +113,15 @@ def with_direction(
     towards: wp.vec3,
     direction: int,
 ):
-    """The sums with what direction 0 .. 26 of the lattice adds at a node, from inside nodes and the first `rings`
-    rings; the middle one is left out, and so are those that lead away from `towards`, where that is not zero."""
+    """The sums with what a direction of the lattice adds at a node; see `known_along`."""
     result = sums
-    shape = levels.shapes[0]
-    i = direction / 9 - 1
-    j = (direction / 3) % 3 - 1
-    k = direction % 3 - 1
-    step = (i * shape[1] + j) * shape[2] + k
-    ahead = wp.vec3(float(i), float(j), float(k))
-    leads = wp.dot(ahead, towards) > 0.0 or wp.dot(towards, towards) == 0.0
-    code = levels.codes[node + step]  # without branches around the codes, so that they are read at once
-    far_code = levels.codes[wp.clamp(node + 2 * step, 0, levels.codes.shape[0] - 1)]
-    if step != 0 and leads and is_known(code, rings):
+    known = known_along(levels, node, rings, towards, direction)
+    if known > 0:
+        step = direction_step(levels, direction)
         value = values[node + step]
         result.nearby += value
         result.nearby_count += 1.0
-        if is_known(far_code, rings):
+        if known > 1:
             result.linear += 2.0 * value - values[node + 2 * step]
             result.linear_count += 1.0
     return result

@@ -112,7 +112,6 @@ def doubts(key):
 OTHERS = {
     "coordinates/maximum_likelihood:likeliest": "maximum_likelihood_point, for which alone it is, speaks",
     "coordinates/green:green_point": "its own gradient",
-    "coordinates/mean_value:mean_value_position": "its own gradient",
     "lattice/cage_map:side_position": "its own gradient",
     "coordinates/mean_value:clear_row": "writes zeros",
     "fitting/splat_growth:clear_means": "writes zeros",
