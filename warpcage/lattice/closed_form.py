@@ -13,6 +13,8 @@ from ..core.arrays import WarpStruct, empty_array
 from ..core.checks import warn_caller
 from ..core.devices import DEFAULT_WORK, launch
 from ..errors import InputError
+from ..kernels.adjoint.corners import gather_nodes
+from ..kernels.adjoint.rings import hand_on_interpolation
 from ..kernels.coordinates.local_points import find_not_finite
 from ..kernels.lattice.cage_map import place_nodes
 from ..kernels.lattice.closed_form import interpolate_nodes, stretch_normals
@@ -23,6 +25,7 @@ from ..mesh.faces import StretchTarget, stretched_normals
 from ..mesh.mesh import ClosedMesh, prepared_fans
 from ..mesh.surface import merge_rows
 from .buffers import PoseConstants
+from .corner_sums import CornerSums
 from .gaps import MapTarget
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes, continue_outwards, continue_through_cage
@@ -114,6 +117,22 @@ class ClosedFormSolver(MapSolver):
         self.continue_map(sections, vertex_values, values)
         self.gaps.search(self.lattice, self.nodes.levels, self.rows, sections, values)
 
+    def launch_adjoint(self, sums: CornerSums, targets: wp.array, slopes: wp.array, by_crossings: WarpStruct) -> None:
+        """Launch the way back through the formula; see MapSolver."""
+        sections, levels = self.sizes.lists, self.nodes.levels
+        for axis in reversed(range(3)):
+            self._launch(hand_on_interpolation, sections.finest_inside, [axis, levels], [slopes])
+        points, by_positions = (empty_array(sections.evaluated, wp.vec3, self.device) for _ in "pp")
+        self._launch(place_nodes, points.size, [0, levels], [points])
+        self._launch(gather_nodes, points.size, [levels, slopes], [by_positions])
+        self.launch_formula_adjoint(sums, targets, points, by_positions)
+
+    @abstractmethod
+    def launch_formula_adjoint(
+        self, sums: CornerSums, targets: wp.array, points: wp.array, by_positions: wp.array
+    ) -> None:
+        """Launch what adds the slopes by the positions (m,) vec3 of points (m,) vec3, node units from the middle."""
+
     def weigh(self) -> list[WeightBlock]:
         """The weights (m, v) of vertices, and (m, f) of faces in the order of fans where there are any, of all inside
         nodes in one block."""
@@ -158,6 +177,17 @@ class VertexWeightSolver(ClosedFormSolver):
         outputs = [values] + [self.status] * self._kind.is_iterative
         self._launch(self._map_nodes, sections.evaluated, [self.nodes.levels, *cage], outputs, all_faces=True)
         self.lattice.side.join()
+
+    def launch_adjoint(self, sums: CornerSums, targets: wp.array, slopes: wp.array, by_crossings: WarpStruct) -> None:
+        """Launch the way back through the formula and from crossings; see MapSolver. Corrections are held."""
+        super().launch_adjoint(sums, targets, slopes, by_crossings)
+        self._sum_crossings(sums, targets, empty_array(0, wp.vec3, self.device), by_crossings)
+
+    def launch_formula_adjoint(
+        self, sums: CornerSums, targets: wp.array, points: wp.array, by_positions: wp.array
+    ) -> None:
+        """Launch the way back through mean value coordinates; see ClosedFormSolver."""
+        sums.add_mean_value(points, by_positions, self._vertices, targets, self._size)
 
     def _describe(self, sections: NodeSections) -> None:
         self.rows = self._table.describe(self.lattice, self.nodes.levels, sections)
@@ -213,6 +243,8 @@ class IterativeSolver(VertexWeightSolver):
 class GreenSolver(ClosedFormSolver):
     """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly."""
 
+    jumps_at_cage = True
+
     def __init__(self, lattice: CageLattice, kind: CoordinateKind):
         super().__init__(lattice, kind)
         self._map_crossings = kind.load("map_crossings")
@@ -247,6 +279,16 @@ class GreenSolver(ClosedFormSolver):
         values = self.weighted_values(target)
         inputs = [self.nodes.levels, rows, marks, self._vertices, self._faces, self._fans, *values, self._size]
         self._launch(self._map_crossings, boundary.size, inputs, [boundary], all_faces=True)
+
+    def launch_formula_adjoint(
+        self, sums: CornerSums, targets: wp.array, points: wp.array, by_positions: wp.array
+    ) -> None:
+        """Launch the way back through Green coordinates and stretched normals; see ClosedFormSolver."""
+        assert self._rest is not None
+        lattice = self.lattice
+        normals = lattice.spacing * stretched_normals(lattice.cage, StretchTarget.of(self._rest)).T
+        values = wp.array(normals.astype(np.float32), dtype=wp.vec3, device=self.device)
+        sums.add_green(points, by_positions, self._vertices, targets, values, self._size)
 
     def _launch_map(self, sections: NodeSections, target: MapTarget, values: wp.array) -> None:
         cage = [self._vertices, self._faces, self._fans, *self.weighted_values(target), self._size]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import warp as wp
 
-from ..core.arrays import empty_array
+from ..core.arrays import WarpStruct, empty_array
 from ..core.checks import checked_number, warn_caller
 from ..core.devices import lane_count, launch, launch_off_tape
 from ..core.modules import load_modules, require_loaded
@@ -29,6 +29,7 @@ from ..kernels.lattice.harmonic import (
     restrict_residual,
 )
 from ..kernels.lattice.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
+from .corner_sums import CornerSums
 from .gaps import MapTarget
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes, continue_to_rings
@@ -38,6 +39,7 @@ from .solver import MapSolver, WeightBlock
 SWEEPS = 2  # before and after the coarse correction: V(2, 2)
 COARSEST_SWEEPS = 8
 MAX_CYCLES = 40
+MIN_ADJOINT_CYCLES = 6
 
 #: Tolerances below the rounding of float32 would never be met.
 MIN_TOLERANCE = 2e-6
@@ -78,12 +80,12 @@ class HarmonicSolver(MapSolver):
         self._table = CutRowTable(lattice.buffers)
         self._sources = lattice.buffers.buffer(wp.vec3)
         self._loads = lattice.buffers.buffer(wp.vec3)
+        self._adjoint = self.slopes.buffer(wp.vec3)
         self._going = wp.zeros(1, dtype=wp.int32, device=self.device)
         self._largest = empty_array(LARGEST_SLOTS, wp.vec2, self.device)
         self._system = LaplaceSystem()
-        self._graph: wp.Graph | None = None  # of one cycle
-        self._graph_room: NodeSections | None = None
-        self._graph_generation = 0
+        # of one cycle of each system, with what it has room for and the generation of its buffers
+        self._graphs: dict[int, tuple[wp.Graph, NodeSections, int]] = {}
 
     def launch_layout(self, sizes: PoseSizes) -> PoseSizes:
         """Launch all that does not depend on the boundary values, with the table of cut rows; see MapSolver."""
@@ -164,20 +166,39 @@ class HarmonicSolver(MapSolver):
         self._sweep(relax_laplace, sections.evaluated, [0, 0, system])
         wp.capture_while(self._going, self.cycle_runner(sections))
 
+    def launch_adjoint(self, sums: CornerSums, targets: wp.array, slopes: wp.array, by_crossings: WarpStruct) -> None:
+        """Launch the adjoint solution; see MapSolver. The matrix of the rows is symmetric: the same cycles solve it."""
+        sizes, solved = self.sizes, self._system
+        system = LaplaceSystem()
+        system.levels, system.rows, system.sources = solved.levels, solved.rows, solved.sources
+        system.loads, system.values, system.is_loaded = slopes, self._adjoint.take(sizes.level_nodes), 1
+        system.values.zero_()
+        self._system = system
+        try:
+            self._sweep(relax_laplace, sizes.lists.evaluated, [0, 0, system])
+            run = self.cycle_runner(sizes.lists)
+            for _ in range(max(self.cycles, MIN_ADJOINT_CYCLES)):  # each gains the same, whatever the loads
+                run()
+        finally:
+            self._system = solved
+        self._sum_crossings(sums, targets, system.values, by_crossings)
+
     def cycle_runner(self, sections: NodeSections) -> Callable[[], None]:
         """A callable that runs one cycle: its launches on the CPU and in a capture, else the replay of one graph."""
         if self.device.is_cpu or self.device.is_capturing:
             return lambda: self.launch_cycle(sections)
-        held, generation = self._graph_room, self.lattice.buffers.generation
-        if held is None or self._graph_generation != generation or not sections.fits(held):
+        which, generation = self._system.is_loaded, self.lattice.buffers.generation + self.slopes.generation
+        graph, held, made = self._graphs.get(which, (None, None, 0))
+        if graph is None or held is None or made != generation or not sections.fits(held):
             # launches somewhat longer than the lists, so that the graph serves other poses of the cage as well
-            held = self._graph_room = sections.roomier()
+            held = sections.roomier()
             load_modules([harmonic_kernels, harmonic_coarse], self.device)
             with wp.ScopedCapture(device=self.device) as capture:
                 self.launch_cycle(held)
-            self._graph, self._graph_generation = capture.graph, generation
-        assert self._graph is not None
-        return functools.partial(wp.capture_launch, self._graph)
+            graph = capture.graph
+            assert graph is not None
+            self._graphs[which] = graph, held, generation
+        return functools.partial(wp.capture_launch, graph)
 
     def launch_cycle(self, sections: NodeSections) -> None:
         """Launch a V-cycle and what judges it; the half sweep that it begins with was done by the one before."""

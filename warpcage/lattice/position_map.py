@@ -20,6 +20,7 @@ from ..mesh.faces import face_area
 from ..mesh.match import posed_mesh, require_same_faces, with_faces_of
 from ..mesh.mesh import ClosedMesh, require_mesh
 from ..mesh.validity import require_usable
+from .corner_sums import CornerSums
 from .gaps import REPORTED_JUMP, MapTarget, lattice_side_bytes, side_bytes
 from .graph import PoseGraph
 from .harmonic import require_tolerance
@@ -122,6 +123,7 @@ class PositionMap(HeldOnDevice):
         self._graph: PoseGraph | None = None
         self._has_gaps = False
         self._begun: BegunPose | None = None
+        self._sums: CornerSums | None = None
         self._is_at_work = False  # whether a graph may read what the host wrote for a pose
         self._is_replayable = False  # whether the graph's buffers and the lattice have seen a pose
 
@@ -300,6 +302,42 @@ class PositionMap(HeldOnDevice):
             self._data = None  # what is in the buffers goes
             self._map_positions(launches)
         return self
+
+    def vertex_gradient(self, by_positions: wp.array) -> tuple[wp.array, wp.array]:
+        """The gradient of a number by the cages of the last pose, from that by the positions of the map's nodes.
+
+        The lattice is held: nodes stay where they are while vertices move. That they go with the cage's box changes
+        nothing but the error of look-up. Where the map is not smooth the gradient is that of the branch the map is on:
+        a node that a face passes over turns from the map to its continuation outside (they agree on the face), and a
+        value beyond a crossing is continued from another node. Held are also the sides of narrow gaps, the signed
+        distance, and the corrections of mean value maps next to the cage, without which slopes of nodes there are off
+        by less than a hundredth.
+
+        Args:
+            by_positions: Slopes of the number by `data.positions`, of its shape, vec3 on its device; zero where it does
+                not depend on a node. Hold `lock` over the pose, what reads it, and this.
+
+        Returns:
+            Slopes by the vertices of the posed cage and of the rest cage, two Warp arrays (v,) of vec3 on the device,
+            per world unit. Neither the host nor other streams wait for them.
+
+        Raises:
+            ValueError: Without a pose, for slopes of another shape, type or device, and for coordinates without an
+                adjoint (maximum likelihood).
+        """
+        with self.lock:
+            launches, lattice = self._posed()
+            if self._kind.adjoint is None and self._kind.is_closed_form:
+                raise InputError(f"no gradient passes through {self.coordinates} maps: take other coordinates")
+            if by_positions.shape != lattice.shape or by_positions.dtype != wp.vec3:
+                given = f"{by_positions.shape} of {by_positions.dtype.__name__}"
+                raise InputError(f"slopes by the nodes must be {lattice.shape} of vec3, as data.positions, got {given}")
+            if self._sums is None:
+                self._sums = CornerSums(lattice.cage, self.device)
+            self._sums.clear()
+            targets = wp.array(self._surface.vertices - self.origin, dtype=wp.vec3, device=self.device)
+            launches.solver.go_back(by_positions.flatten(), launches.target, targets, self._sums)
+            return self._sums.gathered((1.0 / lattice.spacing, 1.0))
 
     @property
     def data(self) -> WarpStruct:

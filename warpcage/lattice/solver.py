@@ -10,11 +10,15 @@ import warp as wp
 from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import HeldOnDevice, launch
 from ..core.names import coordinate_kind
+from ..kernels.adjoint.corners import sum_crossings
+from ..kernels.adjoint.rings import CrossingSlopes, hand_on_ring, hand_on_through_cage
 from ..kernels.lattice.cage_map import apply_weights
 from ..kernels.lattice.cut_rows import CutRows
+from ..kernels.lattice.nodes import RINGS
 from ..kernels.lattice.side_values import set_boundary_values
 from ..mesh.mesh import ClosedMesh
-from .buffers import Buffer
+from .buffers import Buffer, BufferPool
+from .corner_sums import CornerSums
 from .gaps import GapFlags, MapTarget
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes
@@ -28,6 +32,8 @@ class MapSolver(HeldOnDevice, ABC):
     """Values of a map at the nodes of a lattice over a posed cage; `nodes` has the lists that the solver works on.
     A pose is `launch_layout`, then `launch_solution`, and where the pose opens narrow gaps `launch_boundary`."""
 
+    jumps_at_cage = False  # whether the rings continue the map from inside alone, and not through its value on the cage
+
     def __init__(self, lattice: CageLattice, nodes: LatticeNodes):
         self.lattice, self.nodes, self.device = lattice, nodes, lattice.device
         self.rows = CutRows()  # description of the cut nodes, with as many rows as are known
@@ -36,6 +42,9 @@ class MapSolver(HeldOnDevice, ABC):
         self.status = wp.zeros(2, dtype=wp.float32, device=self.device)  # on the device: cycles and residual
         self.cycles, self.residual = 0, 0.0  # multigrid cycles (0: closed form), remainder as a share of the rest size
         self._values: Buffer = lattice.buffers.buffer(wp.vec3)
+        self.slopes = BufferPool(self.device)  # what a way back takes, empty until there is one
+        self._slopes, self._by_values = self.slopes.buffer(wp.vec3), self.slopes.buffer(wp.vec3)
+        self._by_fractions = self.slopes.buffer(wp.float32)
 
     @property
     def sizes(self) -> PoseSizes:
@@ -108,6 +117,40 @@ class MapSolver(HeldOnDevice, ABC):
         """What weights multiply, vec3, in the order of a block: values at vertices, and at faces where they have
         weights."""
         return (target.vertex_values,)
+
+    def go_back(self, by_positions: wp.array, target: MapTarget, targets: wp.array, sums: CornerSums) -> None:
+        """Launch what adds to `sums` the slopes of a number by corners of the posed cage, node units, and of the rest
+        cage, from those by the positions of the last map, (nodes,) vec3; targets: (v,) vec3, the rest cage."""
+        sizes, levels = self.sizes, self.nodes.levels
+        sections = sizes.lists
+        slopes = self._slopes.take(sizes.level_nodes)
+        wp.copy(slopes, by_positions, count=sizes.nodes)
+        by_crossings = CrossingSlopes()
+        by_crossings.values = self._by_values.take((sections.cut, 6))
+        by_crossings.fractions = self._by_fractions.take((sections.cut, 6))
+        by_crossings.values.zero_()
+        by_crossings.fractions.zero_()
+        for ring in reversed(range(int(not self.jumps_at_cage), RINGS)):
+            inputs = [ring, levels, self.lattice.flat_distance]
+            launch(hand_on_ring, sections.ring(ring), inputs, [slopes], device=self.device, threads=1)
+        if not self.jumps_at_cage:
+            inputs = [levels, self.rows, self.lattice.faces, targets, self.values, self.corrections, target.rest.size]
+            outputs = [slopes, by_crossings]
+            launch(hand_on_through_cage, sections.ring(0), inputs, outputs, device=self.device, threads=1)
+        self.launch_adjoint(sums, targets, slopes, by_crossings)
+
+    @abstractmethod
+    def launch_adjoint(self, sums: CornerSums, targets: wp.array, slopes: wp.array, by_crossings: WarpStruct) -> None:
+        """Launch the part of `go_back` that begins at inside nodes, with `slopes` (nodes of all levels,) vec3 there,
+        which may change, and at crossings."""
+
+    def _sum_crossings(self, sums: CornerSums, targets: wp.array, adjoint: wp.array, by_crossings: WarpStruct) -> None:
+        """Launch what crossings of links hand on; adjoint: (nodes,) vec3 of the solution, or (0,)."""
+        count = self.sizes.lists.cut
+        span = -(-count // sums.parts) if self.device.is_cpu else 1
+        cage = [self.lattice.vertices, self.lattice.faces, targets]
+        inputs = [span, count, self.nodes.levels, self.rows, *cage, self.values, adjoint, by_crossings]
+        launch(sum_crossings, -(-count // max(span, 1)), inputs, sums.arrays, device=self.device, work=16 * span)
 
     def take_status(self, status: np.ndarray) -> None:
         """Note how a solution ended: (2,) cycles and residual."""
