@@ -8,5 +8,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "coordinates": "stretched_normals",
         "harmonic": "harmonic_weights",
         "reference_mvc": "host_mean_value_weights mean_value_gradients",
+        "vjp": "coordinates_vjp deform_points_vjp",
     },
 )

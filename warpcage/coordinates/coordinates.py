@@ -45,7 +45,7 @@ from .harmonic import HARMONIC_RESOLUTION, harmonic_weights
 
 
 @dataclass
-class _Local:
+class LocalPoints:
     """Points in a local frame: a cage's has the middle of its bounding box at the origin and a longest side of one."""
 
     given: PointsLike  # as given by the caller
@@ -70,16 +70,16 @@ class _Local:
         return ", ".join(f"{value:.6g}" for value in self.world[row])
 
 
-def _localise(points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike) -> _Local:
+def _localise(points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike) -> LocalPoints:
     """Points relative to a cage. Those of a device that are not finite are found by `_lost_rows`, which waits."""
     center, place = cage.bounds.mean(axis=0), points_device(points, device)
     if is_device_array(points):
-        return _Local(points, *localised(moved(device_rows(points), place), center, cage.size))
+        return LocalPoints(points, *localised(moved(device_rows(points), place), center, cage.size))
     host = (as_host_points(points) - center) / cage.size
     bad = [0, int(not (np.abs(host) < local_points.FARTHEST).all()), 0]
     with np.errstate(over="ignore"):
         local = wp.array(host.astype(np.float32), dtype=wp.vec3, device=place)
-    return _Local(points, local, wp.array(bad, dtype=int, device=place))
+    return LocalPoints(points, local, wp.array(bad, dtype=int, device=place))
 
 
 def _way_outside(outside: str | None, kind: CoordinateKind) -> str:
@@ -92,7 +92,7 @@ def _way_outside(outside: str | None, kind: CoordinateKind) -> str:
 
 
 def _lost_rows(
-    local: _Local, cage: ClosedMesh, kind: CoordinateKind, outside: str, *, flagged: bool = False
+    local: LocalPoints, cage: ClosedMesh, kind: CoordinateKind, outside: str, *, flagged: bool = False
 ) -> np.ndarray:
     """Rows of points that have no coordinates, to be NaN; waits for the device once, and refuses bad points.
     flagged: a kernel has set `bad[2]` where a point is outside."""
@@ -117,7 +117,7 @@ def _lost_rows(
     return lost
 
 
-def _require_near(local: _Local, cage: ClosedMesh) -> None:
+def _require_near(local: LocalPoints, cage: ClosedMesh) -> None:
     """Refuse points so far from the cage that their mean value weights have no digits."""
     away = np.abs(local.world - cage.bounds.mean(axis=0)).max(axis=1) / cage.size
     lost = np.flatnonzero(away >= local_points.FARTHEST)
@@ -128,7 +128,7 @@ def _require_near(local: _Local, cage: ClosedMesh) -> None:
     )
 
 
-def _require_solved(local: _Local, kind: CoordinateKind, values: Any, lost: np.ndarray) -> None:
+def _require_solved(local: LocalPoints, kind: CoordinateKind, values: Any, lost: np.ndarray) -> None:
     """Refuse points for which the iterations found nothing; values: (n,), NaN for these, and for lost rows perhaps."""
     launch(local_points.find_not_finite, local.count, [values], [local.bad[2:]], device=local.device)
     if local.bad.numpy()[2]:
@@ -146,7 +146,7 @@ def _set_nan(array: wp.array, rows: np.ndarray) -> None:
     array[wp.array(rows, dtype=wp.int32, device=array.device)].fill_(float("nan"))
 
 
-def _restored(positions: wp.array, local: _Local, center: np.ndarray, size: float) -> Any:
+def _restored(positions: wp.array, local: LocalPoints, center: np.ndarray, size: float) -> Any:
     """Local positions in world units, as an array of the points' kind."""
     if is_device_array(local.given):
         world = wp.empty_like(positions)
@@ -158,7 +158,7 @@ def _restored(positions: wp.array, local: _Local, center: np.ndarray, size: floa
     return world.astype(np.float32) if single else world
 
 
-def _cage_arrays(cage: ClosedMesh, local: _Local) -> tuple[wp.array, wp.array]:
+def cage_arrays(cage: ClosedMesh, local: LocalPoints) -> tuple[wp.array, wp.array]:
     vertices = ((cage.vertices - cage.bounds.mean(axis=0)) / cage.size).astype(np.float32)
     return (
         wp.array(vertices, dtype=wp.vec3, device=local.device),
@@ -166,14 +166,14 @@ def _cage_arrays(cage: ClosedMesh, local: _Local) -> tuple[wp.array, wp.array]:
     )
 
 
-def _outside_points(local: _Local, cage: ClosedMesh) -> np.ndarray:
+def _outside_points(local: LocalPoints, cage: ClosedMesh) -> np.ndarray:
     """Rows of the points farther outside than 1e-5 of the size."""
     if not local.count:
         return np.zeros(0, dtype=np.int64)
     return np.flatnonzero(~inside_mesh(local.world, cage, device=local.device))
 
 
-def _require_room(local: _Local, columns: int) -> None:
+def _require_room(local: LocalPoints, columns: int) -> None:
     """Refuse weights that the device has not the memory for; NumPy results are held on the host as well."""
     size = 4 * local.count * columns
     message = f"weights of {local.count} points, {columns} each, need {{size}}: take fewer points at a time"
@@ -277,11 +277,11 @@ def deform_points(
 
 
 def move_in_closed_form(
-    kind: CoordinateKind, local: _Local, rest: ClosedMesh, deformed: ClosedMesh, outside: str
+    kind: CoordinateKind, local: LocalPoints, rest: ClosedMesh, deformed: ClosedMesh, outside: str
 ) -> Any:
     """Points moved by a kernel that evaluates the coordinates; arguments and result as in `deform_points`."""
     device, center = local.device, deformed.bounds.mean(axis=0)
-    vertices, _ = _cage_arrays(rest, local)
+    vertices, _ = cage_arrays(rest, local)
     faces = wp.array(rest.topology.fans.faces, dtype=wp.vec3i, device=device)
     targets = (deformed.vertices - center) / rest.size
     inputs, field = [local.points, vertices, faces, prepared_fans(vertices, faces, 1.0)], "map_points"
@@ -318,9 +318,25 @@ def stretched_normals(source: ClosedMesh, target: ClosedMesh) -> np.ndarray:
     return face_geometry.stretched_normals(source, face_geometry.StretchTarget.of(target)).T
 
 
-def move_on_lattice(kind: CoordinateKind, local: _Local, rest: ClosedMesh, deformed: ClosedMesh, outside: str) -> Any:
+def move_on_lattice(
+    kind: CoordinateKind, local: LocalPoints, rest: ClosedMesh, deformed: ClosedMesh, outside: str
+) -> Any:
     """Points moved by a map on a lattice; arguments and result as in `deform_points`."""
     lost = _lost_rows(local, rest, kind, outside)
+    position_map, center = posed_on_lattice(kind, local, rest, deformed)
+    positions, distance = wp.empty_like(local.points), empty_array(local.count, float, local.device)
+    launch(
+        cage_map.sample_map, local.count, [position_map.data, local.points], [positions, distance], device=local.device
+    )
+    if len(lost):
+        _set_nan(positions, lost)
+    return _restored(positions, local, center, rest.size)
+
+
+def posed_on_lattice(
+    kind: CoordinateKind, local: LocalPoints, rest: ClosedMesh, deformed: ClosedMesh
+) -> tuple[PositionMap, np.ndarray]:
+    """The map of points in the frame of the cage at rest to places in sizes of it from a center, and that center."""
     require_usable(deformed, "deformed cage")
     # the map runs from the cage it is posed to, here the rest cage, to the one it is made of; both about the origin, as
     # float32 keeps few digits of a map between cages that are far apart
@@ -329,14 +345,8 @@ def move_on_lattice(kind: CoordinateKind, local: _Local, rest: ClosedMesh, defor
     source = rest.with_vertices((rest.vertices - rest.bounds.mean(axis=0)) / rest.size)
     position_map = PositionMap(
         target, coordinates=kind.name, resolution=HARMONIC_RESOLUTION, origin=np.zeros(3), device=local.device
-    ).pose(source)
-    positions, distance = wp.empty_like(local.points), empty_array(local.count, float, local.device)
-    launch(
-        cage_map.sample_map, local.count, [position_map.data, local.points], [positions, distance], device=local.device
     )
-    if len(lost):
-        _set_nan(positions, lost)
-    return _restored(positions, local, center, rest.size)
+    return position_map.pose(source), center
 
 
 @points_in_turn
@@ -373,9 +383,9 @@ def _weigh(
     kind: CoordinateKind, points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike, outside: str
 ) -> list[wp.array]:
     """Weights of vertices (n, v), and of faces (n, f) in world units where there are any, by a closed form."""
-    local, lost, cage = _checked_points(kind, points, cage, device, outside)
+    local, lost, cage = checked_points(kind, points, cage, device, outside)
     _require_room(local, _row_length(kind, cage))
-    vertices, faces = _cage_arrays(cage, local)
+    vertices, faces = cage_arrays(cage, local)
     field = "weigh_points"
     if cage.quads is not None and kind.weigh_quads:
         faces, field = wp.array(cage.quads, dtype=wp.vec4i, device=local.device), "weigh_quads"
@@ -396,9 +406,9 @@ def _row_length(kind: CoordinateKind, cage: ClosedMesh) -> int:
     return len(cage.vertices) + faces + (0 if cage.operator is None else cage.own_count)
 
 
-def _checked_points(
-    kind: CoordinateKind, points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike, outside: str
-) -> tuple[_Local, np.ndarray, ClosedMesh]:
+def checked_points(
+    kind: CoordinateKind, points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike, outside: str | None
+) -> tuple[LocalPoints, np.ndarray, ClosedMesh]:
     """Points in the frame of a usable cage, the rows that have no coordinates, and the cage's surface."""
     require_mesh(cage, "the cage must be")
     require_usable(cage)
@@ -535,7 +545,7 @@ def harmonic_coordinates(
             resolution out of range, too little memory on the device, and for another `outside`.
         Cancelled: Where `progress` returned False.
     """
-    local, lost, cage = _checked_points(COORDINATE_KINDS["harmonic"], points, cage, device, outside)
+    local, lost, cage = checked_points(COORDINATE_KINDS["harmonic"], points, cage, device, outside)
     if not len(lost):
         return harmonic_weights(points, cage, resolution, local.device, progress=progress)
     weights = np.full((local.count, cage.own_count), np.nan, np.float32)

@@ -1,0 +1,160 @@
+"""Slopes of a number by points and cages, from those by moved points or by weights: vector-Jacobian products."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ..coordinate_kinds import CoordinateKind
+from ..core.arrays import PointsLike, as_points, empty_array
+from ..core.checks import shown
+from ..core.devices import launch
+from ..core.names import POINT_COORDINATES, coordinate_kind
+from ..errors import InputError
+from ..kernels.adjoint.green import slope_green_points
+from ..kernels.adjoint.mean_value import slope_mean_value_points
+from ..kernels.adjoint.points import hand_on_points
+from ..kernels.coordinates.local_points import scale_rows
+from ..lattice.corner_sums import CornerSums
+from ..mesh.match import posed_mesh
+from ..mesh.mesh import ClosedMesh
+from .coordinates import LocalPoints, cage_arrays, checked_points, posed_on_lattice, stretched_normals
+
+
+@dataclass(frozen=True, eq=False)
+class PointSlopes:
+    """Slopes of a number, Warp arrays of vec3 on the device, per world unit."""
+
+    points: wp.array  # (n,) by the points, zero for those without coordinates
+    cage: wp.array  # (v,) by the vertices of the cage that the points are in
+    deformed: wp.array | None = None  # (v,) by those of the cage that they move with
+
+
+def deform_points_vjp(
+    points: PointsLike,
+    rest: ClosedMesh,
+    deformed: ClosedMesh | PointsLike,
+    slopes: PointsLike,
+    coordinates: str = POINT_COORDINATES,
+    *,
+    device: wp.DeviceLike = None,
+    outside: str | None = None,
+) -> PointSlopes:
+    """Slopes of a number by all that `deform_points` takes, `deformed` too, from those (n, 3) by what it returns."""
+    # Exact, by formula, for mean value and Green; on a cage, where slopes jump, those 1e-4 of its size inside.
+    # Harmonic: of the map on its lattice as it lies (PositionMap.vertex_gradient). Rows that are NaN count for nothing.
+    # Raises as deform_points, for slopes of another shape, maximum likelihood, and mean value coordinates of quads.
+    kind = _with_adjoint(coordinate_kind(coordinates), rest)
+    local, lost, surface = checked_points(kind, points, rest, device, outside)
+    target = posed_mesh(rest, deformed, "the deformed cage must be").refined(kind.face_cells)
+    by_moved = as_points(slopes, local.device, name="slopes")
+    if by_moved.size != local.count:
+        raise InputError(f"slopes must be as many as the points, {local.count}, got {by_moved.size}")
+    if len(lost):
+        by_moved = wp.clone(by_moved)
+        _clear(by_moved.view(wp.float32), lost)
+    if not kind.is_closed_form:
+        return _slopes_on_lattice(kind, local, surface, target, by_moved)
+    center = target.bounds.mean(axis=0)
+    targets = wp.array(target.vertices - center, dtype=wp.vec3, device=local.device)
+    vertices, _ = cage_arrays(surface, local)
+    sums, by_points = CornerSums(surface, local.device), empty_array(local.count, wp.vec3, local.device)
+    if kind.has_face_weights:
+        normals = surface.size * stretched_normals(surface, target)
+        normals = wp.array(normals, dtype=wp.vec3, device=local.device)
+        places = sums.add_green(local.points, by_moved, vertices, targets, normals, 1.0)
+        inputs = [places, by_moved, vertices, sums.faces, targets, normals, sums.no_rows, sums.no_rows]
+        _launch(slope_green_points, local, sums, inputs, by_points)
+    else:
+        pulled = sums.add_mean_value(local.points, by_moved, vertices, targets, 1.0)
+        inputs = [pulled, vertices, sums.faces, targets, sums.no_rows, 1.0]
+        _launch(slope_mean_value_points, local, sums, inputs, by_points)
+    _scale(by_points, 1.0 / surface.size)
+    return PointSlopes(by_points, *sums.gathered((1.0 / surface.size, 1.0)))
+
+
+def coordinates_vjp(
+    points: PointsLike,
+    cage: ClosedMesh,
+    slopes: wp.array | tuple[wp.array, wp.array],
+    coordinates: str = POINT_COORDINATES,
+    *,
+    device: wp.DeviceLike = None,
+    outside: str | None = None,
+) -> PointSlopes:
+    """Slopes of a number by points and their cage, from those by mean value weights (n, v), or by Green weights, (n, v)
+    and (n, f), float32 on the device."""
+    # Rows that are NaN count for nothing. Raises as the functions of weights, for slopes of another shape, other kinds
+    # of coordinates, and faces of more than three corners.
+    kind = _with_adjoint(coordinate_kind(coordinates), cage)
+    if not kind.is_closed_form or cage.operator is not None or cage.refined(kind.face_cells).operator is not None:
+        raise InputError(
+            f"no gradient passes through weights of {kind.name} coordinates and these faces: take deform_points_vjp"
+        )
+    local, lost, surface = checked_points(kind, points, cage, device, outside)
+    vertices, _ = cage_arrays(surface, local)
+    sums, by_points = CornerSums(surface, local.device), empty_array(local.count, wp.vec3, local.device)
+    rows = list(slopes) if isinstance(slopes, tuple) else [slopes]
+    widths = [len(surface.vertices)] + [len(surface.faces)] * kind.has_face_weights
+    if [tuple(each.shape) for each in rows] != [(local.count, width) for width in widths]:
+        raise InputError(
+            f"slopes by weights must be {' and '.join(str((local.count, width)) for width in widths)}, got "
+            f"{' and '.join(shown(tuple(each.shape)) for each in rows)}"
+        )
+    if len(lost):
+        rows = [wp.clone(each) for each in rows]
+        for each in rows:
+            _clear(each, lost)
+    if kind.has_face_weights:
+        rows[1] = wp.clone(rows[1])
+        _scale(rows[1], surface.size)  # weights of faces are lengths
+        places = sums.add_green_weights(local.points, vertices, rows[0], rows[1], 1.0)
+        none = sums.no_vectors
+        inputs = [places, none, vertices, sums.faces, none, none, *rows]
+        _launch(slope_green_points, local, sums, inputs, by_points)
+    else:
+        weights = empty_array(rows[0].shape, wp.float32, local.device)
+        inputs = [local.points, vertices, sums.faces, 1.0]
+        launch(kind.load("weigh_points"), local.count, inputs, [weights], device=local.device, work=sums.faces.size)
+        pulled = sums.add_mean_value(local.points, rows[0], vertices, vertices, 1.0, weights)
+        inputs = [pulled, vertices, sums.faces, vertices, rows[0], 1.0]
+        _launch(slope_mean_value_points, local, sums, inputs, by_points)
+    _scale(by_points, 1.0 / surface.size)
+    return PointSlopes(by_points, sums.gathered((1.0 / surface.size, 1.0))[0])
+
+
+def _with_adjoint(kind: CoordinateKind, cage: ClosedMesh) -> CoordinateKind:
+    """The kind, which has slopes by the faces of this cage."""
+    if kind.is_closed_form and kind.adjoint is None:
+        raise InputError(f"no gradient passes through {kind.name} coordinates: take others")
+    if kind.map_quads is not None and cage.refined(kind.face_cells).quads is not None:
+        raise InputError(f"no gradient passes through {kind.name} coordinates of quads: cut the faces into triangles")
+    return kind
+
+
+def _slopes_on_lattice(
+    kind: CoordinateKind, local: LocalPoints, rest: ClosedMesh, deformed: ClosedMesh, by_moved: wp.array
+) -> PointSlopes:
+    """The slopes of points that a map on a lattice moves."""
+    position_map, _ = posed_on_lattice(kind, local, rest, deformed)
+    by_points, by_nodes = wp.zeros_like(local.points), wp.zeros_like(position_map.data.positions)
+    inputs = [position_map.data, local.points, by_moved]
+    launch(hand_on_points, local.count, inputs, [by_points, by_nodes], device=local.device, threads=1)
+    return PointSlopes(by_points, *position_map.vertex_gradient(by_nodes))
+
+
+def _clear(rows: wp.array, lost: np.ndarray) -> None:
+    """Launch what sets rows (n, k) of these numbers to zero."""
+    rows[wp.array(lost, dtype=wp.int32, device=rows.device)].zero_()
+
+
+def _launch(kernel, local: LocalPoints, sums: CornerSums, inputs: list, by_points: wp.array) -> None:
+    launch(kernel, local.count, inputs, [by_points], device=local.device, work=sums.faces.size)
+
+
+def _scale(array: wp.array, factor: float) -> None:
+    """Launch what multiplies rows (n, k) of numbers, or vectors (n,)."""
+    rows = array.view(wp.float32) if array.dtype == wp.vec3 else array
+    launch(scale_rows, rows.shape[0], [factor], [rows], device=array.device)
