@@ -25,6 +25,7 @@ from machine_code import kernel_modules
 import warpcage
 from warpcage import FieldOptimizer, PositionMap
 from warpcage.coordinate_kinds import COORDINATE_KINDS
+from warpcage.coordinates import coordinates_vjp, deform_points_vjp
 from warpcage.core import COORDINATES, launch, limit_threads
 from warpcage.fitting.splats import PictureLoss
 from warpcage.kernels.coordinates.green import map_green
@@ -177,6 +178,13 @@ def coordinates(device) -> None:
         PositionMap(slotted(0.5), coordinates=kind, resolution=16, device=device).pose(slotted(0.03))
     sphere = trimesh.creation.icosphere(subdivisions=3)  # faces enough to be looked through for groups of blocks
     fine = warpcage.Cage(sphere.vertices, sphere.faces)
+    for kind in ("harmonic", "mean_value", "green"):
+        position_map = PositionMap(CAGE, coordinates=kind, resolution=24, device=device).pose(POSE)
+        position_map.vertex_gradient(position_map.data.positions)
+        deform_points_vjp(points, CAGE, POSE, points, kind)
+    rows = [wp.zeros((len(points), count), dtype=float, device=device) for count in (len(vertices), len(faces))]
+    coordinates_vjp(points, CAGE, rows[0])
+    coordinates_vjp(points, CAGE, (rows[0], rows[1]), "green")
     for kind in ("harmonic", "mean_value"):
         PositionMap(fine, coordinates=kind, resolution=12, device=device).pose(fine.twist(50)).pose(fine.bend(60))
     PositionMap(QUADS, coordinates="mean_value", resolution=12, device=device).pose(QUADS.bend(40))
