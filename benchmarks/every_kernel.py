@@ -28,6 +28,7 @@ from warpcage.coordinate_kinds import COORDINATE_KINDS
 from warpcage.coordinates import coordinates_vjp, deform_points_vjp
 from warpcage.core import COORDINATES, launch, limit_threads
 from warpcage.fitting.splats import PictureLoss
+from warpcage.gradients import frame_gradient
 from warpcage.kernels.coordinates.green import map_green
 from warpcage.lattice import HarmonicSolver, PoseGraph
 from warpcage.mesh import prepared_fans
@@ -210,6 +211,8 @@ def frames(device) -> None:
             deformer.render(camera())
             deformer.to_canonical(POINTS, np.ones((64, 3)))
     warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE).render(camera(), supersampling=2)
+    deformer = warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE)
+    frame_gradient(deformer, camera(), np.ones((16, 16, 3)), by_camera=True, by_field=True)
     asked = warpcage.SampledField(field.sample, field.bounds, step=0.1, device=device)
     warpcage.Deformer(asked, CAGE, resolution=12, device=device).pose(POSE).render(camera())
     warpcage.Deformer(field, slotted(0.5), resolution=16, device=device).pose(slotted(0.03)).render(camera())

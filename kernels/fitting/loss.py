@@ -111,31 +111,45 @@ def background_behind(background: wp.vec3, random_background: int, seed: int, n:
 
 
 @forward.func_native("""
-    // luminance, orange and green: what red, green and blue are made of
-    const float parts[3] = {
-        change.c[0] + change.c[1] + change.c[2],
-        change.c[0] - change.c[2],
-        change.c[1] - 0.5f * (change.c[0] + change.c[2]),
-    };
-    float gradient[24];
-    for (int b = 0; b < 16; ++b)
-        gradient[b] = parts[0] * basis.c[b];
-    for (int b = 0; b < 4; ++b)
+    float gradient[27];
+    const bool luminous = grad_sh.shape[1] == 24;
+    if (luminous)
     {
-        gradient[16 + b] = parts[1] * basis.c[b];
-        gradient[20 + b] = parts[2] * basis.c[b];
+        // luminance, orange and green: what red, green and blue are made of
+        const float parts[3] = {
+            change.c[0] + change.c[1] + change.c[2],
+            change.c[0] - change.c[2],
+            change.c[1] - 0.5f * (change.c[0] + change.c[2]),
+        };
+        for (int b = 0; b < 16; ++b)
+            gradient[b] = parts[0] * basis.c[b];
+        for (int b = 0; b < 4; ++b)
+        {
+            gradient[16 + b] = parts[1] * basis.c[b];
+            gradient[20 + b] = parts[2] * basis.c[b];
+        }
     }
+    else
+        for (int channel = 0; channel < 3; ++channel)
+            for (int b = 0; b < 9; ++b)
+                gradient[9 * channel + b] = change.c[channel] * basis.c[b];
+#if defined(__CUDA_ARCH__)
+    #define ADD(n) atomicAdd(sums + n, weights.c[corner] * gradient[n])
+#else
+    #define ADD(n) sums[n] += weights.c[corner] * gradient[n]
+#endif
     for (int corner = 0; corner < 8; ++corner)
         if (rows.c[corner] >= 0)
         {
             float* sums = grad_sh.data + (size_t)rows.c[corner] * (grad_sh.strides[0] / sizeof(float));
-            for (int n = 0; n < 24; ++n)
-#if defined(__CUDA_ARCH__)
-                atomicAdd(sums + n, weights.c[corner] * gradient[n]);
-#else
-                sums[n] += weights.c[corner] * gradient[n];
-#endif
+            if (luminous)
+                for (int n = 0; n < 24; ++n)
+                    ADD(n);
+            else
+                for (int n = 0; n < 27; ++n)
+                    ADD(n);
         }
+    #undef ADD
 """)
 def add_color_gradient(
     grad_sh: wp.array2d(dtype=wp.float32), rows: eight_rows, weights: eight_weights, basis: vec16, change: wp.vec3

@@ -1,0 +1,1 @@
+"""Kernels for gradients of frames of posed scenes."""

@@ -1,0 +1,5 @@
+"""Gradients of frames of posed scenes."""
+
+from ..package import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, {"frame": "FrameGradient frame_gradient"})
