@@ -53,9 +53,8 @@ class Planes:
 
 @wp.struct
 class CollapseRules:
-    """What collapses must keep to, and what they cost."""
+    """What collapses must keep to, and what they cost, in sides of the faces to come about an edge."""
 
-    side: wp.float64  # of the faces to come: the unit of lengths
     on_plane: wp.float64  # sides by which a place may lie behind a plane
     most_lift: wp.float64  # sides that a place may lie beyond its base
     least_turn: wp.float64  # cosine of how far a face may turn
@@ -122,14 +121,14 @@ def corner(planes: Planes, vertex: int, u: int, v: int, place: wp.vec3d):
 
 
 @wp.func
-def lifted(planes: Planes, rules: CollapseRules, u: int, v: int, base: wp.vec3d, mean: wp.vec3d):
+def lifted(planes: Planes, rules: CollapseRules, side: wp.float64, u: int, v: int, base: wp.vec3d, mean: wp.vec3d):
     """How far a base must go along the mean normal to the outer side of all planes; negative where it cannot."""
     lift = wp.float64(0.0)
     for n in range(degree(planes, u) + degree(planes, v)):
         f = face_around(planes, u, v, n)
         if f >= 0:
             below = planes.offsets[f] - wp.dot(planes.normals[f], base)
-            if below > rules.on_plane * rules.side:
+            if below > rules.on_plane * side:
                 climb = wp.dot(planes.normals[f], mean)
                 if climb < MIN_CLIMB:
                     return -ONE
@@ -149,7 +148,7 @@ def room_added(planes: Planes, u: int, v: int, place: wp.vec3d):
 
 
 @wp.func
-def shape_cost(planes: Planes, rules: CollapseRules, u: int, v: int, place: wp.vec3d):
+def shape_cost(planes: Planes, rules: CollapseRules, side: wp.float64, u: int, v: int, place: wp.vec3d):
     """What long sides and uneven faces cost; infinite where a face turns too far or becomes too flat."""
     square = wp.float64(0.0)
     lacking = wp.float64(0.0)
@@ -172,7 +171,7 @@ def shape_cost(planes: Planes, rules: CollapseRules, u: int, v: int, place: wp.v
                     return INFINITE
                 square = wp.max(square, wp.max(square_ab, wp.max(square_bc, square_ca)))
                 lacking += ONE / wp.max(even, MIN_EVEN) - ONE
-    longest = wp.sqrt(square) / rules.side
+    longest = wp.sqrt(square) / side
     return forward_only(rules.side_cost * longest * longest * longest + rules.shape_cost * lacking, place)
 
 
@@ -180,18 +179,20 @@ def shape_cost(planes: Planes, rules: CollapseRules, u: int, v: int, place: wp.v
 def measure_collapses(
     first: int,
     edges: wp.array(dtype=wp.vec2i),
+    sides: wp.array(dtype=wp.float64),
     planes: Planes,
     rules: CollapseRules,
     places: wp.array(dtype=wp.vec3d),
     costs: wp.array(dtype=wp.float64),
 ):
-    """Where the new vertex (e,) of edges (e,) goes and what it costs (e,), in cubes of the side: the room that it adds,
-    long sides and uneven faces; INFINITE where the edge cannot collapse."""
+    """Where the new vertex (e,) of edges (e,) goes and what it costs (e,), in cubes of the side (e,) of faces to come
+    there: the room that it adds, long sides and uneven faces; INFINITE where the edge cannot collapse."""
     # It is lifted along the mean normal to the outer side of all planes from the cheapest of four bases: the middle of
     # the edge, its ends, and where the planes nearly meet (least squares, Garland and Heckbert 1997).
     e = first + wp.tid()
     u = edges[e][0]
     v = edges[e][1]
+    side = sides[e]
     costs[e] = INFINITE
     places[e] = planes.vertices[u]
     if not keeps_manifold(planes, u, v):
@@ -220,12 +221,12 @@ def measure_collapses(
             base = planes.vertices[v]
         if k == 3:
             base = meeting
-        lift = lifted(planes, rules, u, v, base, mean)
-        if lift >= ZERO and lift <= rules.most_lift * rules.side:
+        lift = lifted(planes, rules, side, u, v, base, mean)
+        if lift >= ZERO and lift <= rules.most_lift * side:
             place = base + lift * mean
-            cost = room_added(planes, u, v, place) / (rules.side * rules.side * rules.side)
+            cost = room_added(planes, u, v, place) / (side * side * side)
             if cost < best:  # a shape only adds to it
-                cost = wp.round((cost + shape_cost(planes, rules, u, v, place)) * COST_UNITS) / COST_UNITS
+                cost = wp.round((cost + shape_cost(planes, rules, side, u, v, place)) * COST_UNITS) / COST_UNITS
                 if cost < best:
                     best = cost
                     places[e] = place

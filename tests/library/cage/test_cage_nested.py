@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 import trimesh
+from refusals import refused
 from test_cage_generation import winding
 
 from warpcage import Cage
 from warpcage.cage import EdgeCollapses, progressive_hull
+from warpcage.cage.generate import cage_around_mesh
 from warpcage.mesh import intersecting_faces
 
 
@@ -97,17 +99,43 @@ def collapse_in_numpy(vertices, faces, edge, side):
     return best
 
 
-def test_collapses_are_measured_as_by_numpy():
+@pytest.mark.parametrize("sizing", [None, lambda x: np.exp(0.5 * x[:, 0])])
+def test_collapses_are_measured_as_by_numpy(sizing):
     """Of surfaces as they come about: some collapses are refused for their shape, some for what they would join."""
     fine = surfaces()["torus"]
     for count in (300, 60):
         vertices, faces = progressive_hull(fine.vertices, fine.faces, count)
-        found, some = EdgeCollapses(vertices, faces, 0.3), 0
+        found, some = EdgeCollapses(vertices, faces, 0.3, sizing), 0
         assert len(found.edges) == len(faces) * 3 // 2
         for edge, place, cost in zip(found.edges.tolist(), found.places, found.costs, strict=True):
-            best = collapse_in_numpy(vertices, faces, edge, 0.3)
+            side = 0.3 if sizing is None else 0.3 * sizing(vertices[edge].mean(axis=0, keepdims=True))[0]
+            best = collapse_in_numpy(vertices, faces, edge, side)
             assert (cost >= 1e300) == (best is None)
             if best is not None:
                 assert cost == pytest.approx(best[0], abs=1e-8) and np.allclose(place, best[1], atol=1e-8)
                 some += 1
         assert 10 < some < len(found.edges)
+
+
+def test_a_sizing_puts_vertices_where_it_asks_for_short_edges():
+    """Twice as many a length, so four times as many an area; as a cage, too, at any place and scale."""
+    fine, mesh = surfaces()["ball"], trimesh.creation.icosphere(subdivisions=4).apply_scale(20.0)
+
+    def sizing(x, middle=1.0, scale=1.0):
+        return np.where(x[:, 0] > middle, 0.5 * scale, scale)
+
+    hull = Cage(*progressive_hull(fine.vertices, fine.faces, 100, sizing=sizing))
+    cage = Cage(*cage_around_mesh(mesh, 100, sizing=lambda x: sizing(x, 0.0, 7.0)))
+    for found, middle in ((hull, 1.0), (cage, 0.0)):
+        found.require_usable()
+        dense = np.count_nonzero(found.vertices[:, 0] > middle) / len(found.vertices)
+        assert abs(len(found.vertices) - 100) <= 10 and 0.65 < dense < 0.85
+    assert cage.contains(mesh.vertices).all() and cage.volume < 1.25 * mesh.volume
+
+
+@pytest.mark.parametrize(
+    "sizing", [lambda x: np.zeros(len(x)), lambda x: np.ones(3), lambda x: np.full(len(x), np.nan)]
+)
+def test_a_sizing_that_gives_no_lengths_is_refused(sizing):
+    fine = surfaces()["ball"]
+    refused(lambda: progressive_hull(fine.vertices, fine.faces, 100, sizing=sizing), "a sizing must give")

@@ -18,7 +18,7 @@ from ...mesh.queries import inside_mesh, intersecting_faces
 from ...mesh.validity import first_problem, require_usable
 from ...select.planes import Plane
 from ...select.selection import visible_nodes
-from .decimate import progressive_hull
+from .decimate import Sizing, progressive_hull
 from .distance import ObjectShell, ObjectVoxels, bounds_of
 from .fit import cleared, face_samples, row_sums
 from .shell import NOT_CLEAR, decimated, flaw, shell_cage, strays
@@ -122,6 +122,7 @@ def cage_around_mesh(
     margin: float | None = None,
     method: str = "auto",
     symmetry: str | None = None,
+    sizing: Sizing = None,
     progress: bool | Progress = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a cage of about `vertex_count` vertices around a mesh; see `Cage.from_mesh`.
@@ -152,7 +153,7 @@ def cage_around_mesh(
         # numbered row by row: sorted in a fraction of the time of rows of three
         _, one = np.unique(np.ravel_multi_index(tuple(cell.T), tuple(bounds_of(cell)[1] + 1)), return_index=True)
         points, slack = points[one], slack + np.sqrt(3.0) * 0.1 * spacing
-    return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry, progress)
+    return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry, sizing, progress)
 
 
 def cage_around_field(
@@ -163,6 +164,7 @@ def cage_around_field(
     threshold: float | None = None,
     method: str = "auto",
     symmetry: str | None = None,
+    sizing: Sizing = None,
     progress: bool | Progress = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a cage of `vertex_count` vertices (within 10 %) around what a field shows.
@@ -181,11 +183,11 @@ def cage_around_field(
     spacing = max(voxel_spacing(extent, vertex_count), voxel_size.max())
     corner = 0.5 * float(np.linalg.norm(voxel_size))
     floor = getattr(field, "floor", None)  # nodes lie above it: the cage ends there, without what they stand on
-    return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, progress, floor)
+    return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, sizing, progress, floor)
 
 
 def _cage_around_points(
-    points, spacing, slack, margin, vertex_count, method, symmetry, progress, floor: Plane | None = None
+    points, spacing, slack, margin, vertex_count, method, symmetry, sizing, progress, floor: Plane | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tightest cage of the methods asked for; slack: how far the object may lie off its points; floor: where it
     ends."""
@@ -196,7 +198,10 @@ def _cage_around_points(
     if symmetry is not None and method == "shell":
         raise InputError("symmetry needs method 'voxel' (or 'auto', which takes it then), not 'shell'")
     if method == "auto":
-        makers = {"voxel": voxel_cage} if symmetry is not None else makers
+        # voxels are even, whatever the sizing
+        makers = {
+            name: makers[name] for name in (["voxel"] if symmetry is not None else ["shell"] if sizing else makers)
+        }
     else:
         makers = {method: makers[method]}
     # in units of the object, about its middle, without the last digits: neither scale nor place may decide a tie
@@ -204,13 +209,14 @@ def _cage_around_points(
     middle, size = 0.5 * (lower + upper), float((upper - lower).max()) or spacing
     points = np.round((points - middle) / size, 9)
     spacing, slack, margin = (float(np.round(length / size, 9)) for length in (spacing, slack + 2e-9 * size, margin))
+    relative: Sizing = None if sizing is None else lambda x: sizing(middle + size * x)
     voxels, names, strayed = ObjectVoxels(points, spacing, slack + margin), list(makers), {}
 
     def made(name: str, progress: bool | Progress) -> ClosedMesh | str:
         """The cage of a method, or why there is none."""
         try:
-            cage = makers[name](voxels, vertex_count, symmetry, progress)
-            strayed[name] = strays(voxels, cage)
+            cage = makers[name](voxels, vertex_count, symmetry, progress, relative)
+            strayed[name] = strays(voxels, cage, relative)
             cage = cage.with_vertices(middle + size * cage.vertices)
             if floor is not None:
                 cage = cage.with_vertices(ended_at(floor, cage, middle + size * points, size * spacing))

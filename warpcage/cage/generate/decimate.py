@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import warp as wp
 
 from ...core.devices import launch
 from ...core.reports import Progress, report_progress
+from ...errors import InputError
 from ...kernels.mesh.collapses import INFINITE, CollapseRules, Planes, measure_collapses
 from ...mesh.faces import column_cross, column_dot
 
@@ -16,8 +19,13 @@ def on_cpu(values: np.ndarray, dtype) -> wp.array:
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
 
 
-#: Share of the vertices that one round takes away at most, where they do not touch each other's faces.
-_ROUND = 0.08
+#: Relative lengths (n,) of a cage's edges about points (n, 3), world units: any positive numbers, of which only ratios
+#: count. None for the same everywhere.
+Sizing = Callable[[np.ndarray], np.ndarray] | None
+
+#: Share of the vertices that one round takes away at most, where they do not touch each other's faces: evenly, and with
+#: a sizing, where a larger one leaves no choice of the place.
+_ROUND, _SIZED_ROUND = 0.08, 0.03
 
 #: How much room, in cubes of the sides of faces to come, the shape of a collapse may cost.
 _SIDE_COST, _SHAPE_COST = 0.05, 0.02
@@ -36,22 +44,20 @@ _NONE, _COLLAPSE_WORK = float(INFINITE), 64
 
 
 def progressive_hull(
-    vertices, faces, vertex_count: int, progress: bool | Progress = False
+    vertices, faces, vertex_count: int, progress: bool | Progress = False, sizing: Sizing = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a closed manifold surface around the one given, with fewer vertices.
-    They are `vertex_count`, or more where no collapse is left."""
+    They are `vertex_count`, or more where no collapse is left; `sizing`: where they lie denser."""
     # Cheapest first (room, long edges, uneven faces). It stays manifold and outside the one before; faces do not fold.
     vertices, faces = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-    side = np.sqrt(2.0 * area / (np.sqrt(3.0) * vertex_count))
-    first = len(vertices)
+    side = edge_length(vertices, faces, vertex_count, sizing)
+    first, share = len(vertices), _ROUND if sizing is None else _SIZED_ROUND
     while len(vertices) > vertex_count:
         report_progress(progress, first - len(vertices), first - vertex_count, "cage: decimate")
-        edges, places, costs = _collapses(vertices, faces, side)
+        edges, places, costs = _collapses(vertices, faces, side, sizing)
         if not len(edges):
             break
-        most = min(max(int(_ROUND * len(vertices)), 1), len(vertices) - vertex_count)
+        most = min(max(int(share * len(vertices)), 1), len(vertices) - vertex_count)
         chosen = _apart(edges, costs, faces, len(vertices), most)
         vertices[edges[chosen, 0]] = places[chosen]
         number = np.arange(len(vertices))
@@ -63,9 +69,28 @@ def progressive_hull(
     return vertices, faces
 
 
-def _collapses(vertices, faces, side):
+def relative_sizes(sizing: Sizing, points: np.ndarray) -> np.ndarray:
+    """(n,) what a sizing gives for points (n, 3), checked: positive and finite."""
+    if sizing is None:
+        return np.ones(len(points))
+    found = np.asarray(sizing(points), dtype=np.float64)
+    if found.shape != (len(points),) or not (np.isfinite(found) & (found > 0.0)).all():
+        raise InputError(f"a sizing must give a positive length for each of {len(points)} points")
+    return found
+
+
+def edge_length(vertices, faces, vertex_count, sizing: Sizing = None) -> float:
+    """Edge of the equilateral triangles, two a vertex, that would cover a surface; with a sizing, where that is 1."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if sizing is not None:
+        areas = areas / relative_sizes(sizing, (a + b + c) / 3.0) ** 2
+    return float(np.sqrt(2.0 * areas.sum() / (np.sqrt(3.0) * vertex_count)))
+
+
+def _collapses(vertices, faces, side, sizing: Sizing):
     """Edges (e, 2) that may collapse, where to (e, 3) and at which cost (e,)."""
-    measured = EdgeCollapses(vertices, faces, side)
+    measured = EdgeCollapses(vertices, faces, side, sizing)
     fine = np.flatnonzero(measured.costs < _NONE)
     return measured.edges[fine], measured.places[fine], measured.costs[fine]
 
@@ -73,7 +98,7 @@ def _collapses(vertices, faces, side):
 class EdgeCollapses:
     """Edges (e, 2) of a closed mesh, places (e, 3) of the vertices that they may become, and what these cost (e,)."""
 
-    def __init__(self, vertices, faces, side):
+    def __init__(self, vertices, faces, side, sizing: Sizing = None):
         a, b, c = (vertices[faces[:, k]] for k in range(3))
         cross = column_cross((b - a).T, (c - a).T)
         double_area = np.sqrt(column_dot(cross, cross))
@@ -84,13 +109,14 @@ class EdgeCollapses:
         planes.starts, planes.ring = on_cpu(starts, wp.int32), on_cpu(corners // 3, wp.int32)
         planes.normals, planes.double_areas = on_cpu(normals.T, wp.vec3d), on_cpu(double_area, wp.float64)
         planes.offsets = on_cpu(column_dot(normals, a.T), wp.float64)
-        rules.side, rules.on_plane = wp.float64(side), wp.float64(_ON_PLANE)
-        rules.most_lift = wp.float64(_MAX_LIFT)
+        rules.on_plane, rules.most_lift = wp.float64(_ON_PLANE), wp.float64(_MAX_LIFT)
         rules.least_turn, rules.least_even = wp.float64(_MIN_TURN), wp.float64(_MIN_EVEN)
         rules.side_cost, rules.shape_cost = wp.float64(_SIDE_COST), wp.float64(_SHAPE_COST)
         self.edges = _edges(faces)
         self.places, self.costs = np.empty((len(self.edges), 3)), np.empty(len(self.edges))
-        inputs = [on_cpu(self.edges.astype(np.int32), wp.vec2i), planes, rules]
+        middles = 0.5 * (vertices[self.edges[:, 0]] + vertices[self.edges[:, 1]])
+        sides = on_cpu(side * relative_sizes(sizing, middles), wp.float64)
+        inputs = [on_cpu(self.edges.astype(np.int32), wp.vec2i), sides, planes, rules]
         outputs = [on_cpu(self.places, wp.vec3d), on_cpu(self.costs, wp.float64)]
         launch(measure_collapses, len(self.edges), inputs, outputs, device="cpu", work=_COLLAPSE_WORK)
 

@@ -22,7 +22,7 @@ from ...mesh.mesh import ClosedMesh
 from ...mesh.queries import intersecting_faces
 from ...mesh.validity import require_usable, winding_numbers
 from ..shapes import box
-from .decimate import on_cpu, progressive_hull
+from .decimate import Sizing, edge_length, on_cpu, progressive_hull, relative_sizes
 from .distance import ObjectShell, ObjectVoxels
 from .fit import cleared, drawn_close, spread
 
@@ -54,16 +54,21 @@ _LOOSE, STRAYS = "it could not be drawn close", "a vertex is far off the object"
 #: Mean sides of faces, beyond what `need` explains, that vertices may be off the object.
 _CORNER, _FARTHEST = 1.75, 1.5
 
+#: Times more vertices that decimation begins with at most, where a sizing has them dense.
+_DENSEST = 4.0
+
 #: Vertices of the surface that a progressive hull begins with, for each that it leaves, and whether the last rounds are
 #: tried: all closings are tried with the first, then, where none of them holds, with the next.
 _ATTEMPTS = ((6, False), (9, False), (4, False), (6, True))
 
 
-def shell_cage(voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress: bool | Progress = False) -> ClosedMesh:
+def shell_cage(
+    voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress: bool | Progress = False, sizing: Sizing = None
+) -> ClosedMesh:
     """Try ever wider closings until a cage comes out that holds."""
     points, spacing, need = voxels.points, voxels.spacing, voxels.need
     shell = ObjectShell(voxels, need + max(0.06 * voxels.size, 2.0 * spacing))
-    edge = edge_length(shell, max(need, _MIN_LEVEL * spacing), vertex_count)
+    edge = edge_length(*shell.surface(max(need, _MIN_LEVEL * spacing)), vertex_count)
     reasons = []
     for fine, last in _ATTEMPTS:
         found = []
@@ -78,16 +83,16 @@ def shell_cage(voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress:
             level = need + _START * room
             # cubes with a node in each ball of the level's radius: nothing thin is missed
             step = int(np.clip(min(edge / _CUBES, level) / coarse, 1, _MAX_STEP))
-            start = decimated(*shell.surface(level, step), fine * vertex_count)
-            cage, reason = sound(
-                shell, *progressive_hull(*start, vertex_count, progress), need, vertex_count, last=last
-            )
+            surface = shell.surface(level, step)
+            start = decimated(*surface, int(fine * vertex_count * denser(*surface, sizing)))
+            hull = progressive_hull(*start, vertex_count, progress, sizing)
+            cage, reason = sound(shell, *hull, need, vertex_count, last=last, sizing=sizing)
             found += [cage] if cage else []
             if not reason:
                 break
             reasons.append(reason)
         if found:
-            return best_cage(voxels, found)
+            return best_cage(voxels, found, sizing)
     # no closing is wider than a box, which holds as it is
     cage, reason = sound(
         shell, *split_box(voxels.bounds, 1.5 * shell.reach, vertex_count), need, vertex_count, last=True
@@ -95,6 +100,14 @@ def shell_cage(voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress:
     if cage is None:
         raise InputError(f"{reason}; before: {', '.join(dict.fromkeys(reasons))}")
     return cage
+
+
+def denser(vertices, faces, sizing: Sizing) -> float:
+    """How many times denser than evenly vertices lie where a sizing has them densest, at most `_DENSEST` times."""
+    if sizing is None:
+        return 1.0
+    least = np.quantile(relative_sizes(sizing, vertices), 0.1) * edge_length(vertices, faces, 1, sizing)
+    return float(np.clip((edge_length(vertices, faces, 1) / least) ** 2, 1.0, _DENSEST))
 
 
 def split_box(bounds, room, vertex_count) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +130,9 @@ def split_box(bounds, room, vertex_count) -> tuple[np.ndarray, np.ndarray]:
     return np.array(vertices), np.array(faces)
 
 
-def sound(shell, vertices, faces, need, vertex_count, mirror=None, last=False) -> tuple[ClosedMesh | None, str]:
+def sound(
+    shell, vertices, faces, need, vertex_count, mirror=None, last=False, sizing: Sizing = None
+) -> tuple[ClosedMesh | None, str]:
     """The cage of these faces, drawn as close as holds, and what is wrong with it; or None and why there is none.
     `mirror`: function of the vertices that makes them symmetric, or None; `last`: take them as they are if need be."""
     if abs(len(vertices) - vertex_count) > 0.1 * vertex_count:
@@ -139,20 +154,24 @@ def sound(shell, vertices, faces, need, vertex_count, mirror=None, last=False) -
             if not reason:
                 cage = ClosedMesh(vertices, faces)
                 loose = rounds < _ROUNDS[0] and share == 0.0
-                return cage, _LOOSE if loose else STRAYS if strays(shell.voxels, cage) else ""
+                return cage, _LOOSE if loose else STRAYS if strays(shell.voxels, cage, sizing) else ""
         reasons.append(reason)
     return None, reasons[0]
 
 
-def strays(voxels: ObjectVoxels, cage: ClosedMesh) -> bool:
+def strays(voxels: ObjectVoxels, cage: ClosedMesh, sizing: Sizing = None) -> bool:
     """Whether a vertex is farther off the object than the count of vertices explains."""
-    bound = _CORNER * voxels.need + _FARTHEST * math.sqrt(face_area(cage) / len(cage.vertices))
-    return bool((voxels.exact_distance(cage.vertices, np.full(len(cage.vertices), bound), bound) > bound).any())
+    side = math.sqrt(face_area(cage) / len(cage.vertices))
+    if sizing is not None:  # where it is 1
+        one = edge_length(cage.vertices, cage.faces, 1, sizing) / edge_length(cage.vertices, cage.faces, 1)
+        side = side * one * relative_sizes(sizing, cage.vertices)
+    bound = np.broadcast_to(_CORNER * voxels.need + _FARTHEST * side, len(cage.vertices))
+    return bool((voxels.exact_distance(cage.vertices, bound, float(bound.max())) > bound).any())
 
 
-def best_cage(voxels: ObjectVoxels, cages: list[ClosedMesh]) -> ClosedMesh:
+def best_cage(voxels: ObjectVoxels, cages: list[ClosedMesh], sizing: Sizing = None) -> ClosedMesh:
     """The tightest of cages whose vertices keep near, or else of all."""
-    return min(cages, key=lambda cage: (strays(voxels, cage), cage.volume))
+    return min(cages, key=lambda cage: (strays(voxels, cage, sizing), cage.volume))
 
 
 def flaw(shell, vertices, faces) -> str:
@@ -203,14 +222,6 @@ def tangle(shell, vertices, faces) -> str:
     if len(intersecting_faces(vertices, faces)):
         return "it passes through itself"
     return ""
-
-
-def edge_length(shell, level, vertex_count) -> float:
-    """Edge of the equilateral triangles, two a vertex, that would cover the object's offset surface."""
-    vertices, faces = shell.surface(level)
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-    return float(np.sqrt(2.0 * area / (np.sqrt(3.0) * vertex_count)))
 
 
 def _load_pymeshlab() -> Any:

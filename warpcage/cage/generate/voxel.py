@@ -10,7 +10,7 @@ import numpy as np
 from ...core.reports import Progress
 from ...errors import InputError
 from ...mesh.mesh import ClosedMesh
-from .decimate import progressive_hull
+from .decimate import Sizing, progressive_hull
 from .distance import ObjectShell, ObjectVoxels, bounds_of
 from .fit import row_sums
 from .shell import STRAYS, best_cage, sound
@@ -27,7 +27,9 @@ _EQUAL_SPREAD = 1e-3
 _ASIDE = 1e-6
 
 
-def voxel_cage(voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress: bool | Progress = False) -> ClosedMesh:
+def voxel_cage(
+    voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress: bool | Progress = False, sizing: Sizing = None
+) -> ClosedMesh:
     """A cage of about `vertex_count` vertices around an object.
     `symmetry`: normal of a mirror plane through the middle of its points."""
     import scipy.ndimage
@@ -54,18 +56,18 @@ def voxel_cage(voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress:
             nodes, faces = outer_surface(marks, axis)
             vertices = np.matmul(lower + nodes * side, frame.T)
             if len(vertices) > 1.1 * vertex_count and axis is None:
-                vertices, faces = progressive_hull(vertices, faces, vertex_count, progress)
+                vertices, faces = progressive_hull(vertices, faces, vertex_count, progress, sizing)
             mirror = None if axis is None else _mirror(_partners(nodes, marks.shape, axis), axis, middle)
             vertices = _smoothed_improved(vertices, ClosedMesh(vertices, faces).edges)
             # a mirrored count is even in its pairs and has no decimation to help it
             count = len(vertices) if axis is not None else vertex_count
-            cage, reason = sound(shell, vertices, faces, need, count, mirror, last)
+            cage, reason = sound(shell, vertices, faces, need, count, mirror, last, sizing)
             found += [cage] if cage else []
             if not reason or reason == STRAYS:  # of which wider closings have more
                 break
             reasons.append(reason)
         if found:
-            return best_cage(voxels, found)
+            return best_cage(voxels, found, sizing)
     raise InputError(reasons[-1])
 
 
