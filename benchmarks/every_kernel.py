@@ -122,8 +122,10 @@ def fields(device) -> None:
     assert warpcage.VoxelField(field.bounds, field.host_links(), field.stored.density, halves, device=device).grid
     CAGE.contains(2.2 * POINTS, device=device)  # in it, at it and beside it
     CAGE.check(field=field)
-    for method in ("voxel", "shell") if field.device.is_cpu else ():  # cages are made on the CPU on any machine
-        warpcage.Cage.from_field(field, 40, method=method)
+    for options in (
+        ({"method": "voxel"}, {"detail": "parts"}) if field.device.is_cpu else ()
+    ):  # on the CPU on any machine
+        warpcage.Cage.from_field(field, 40, **options)
 
 
 def fits(device) -> None:

@@ -280,11 +280,13 @@ class Cage(PosableMesh):
         margin: float | None = None,
         method: str = "auto",
         symmetry: str | None = None,
+        detail: str = "even",
         progress: bool | Progress = False,
     ) -> Cage:
         """A cage around a mesh: closed, manifold, outward, without intersecting faces; the same for the same mesh.
 
-        Gaps narrower than about an edge of the cage are bridged. Parts farther apart get closed parts of their own.
+        Gaps narrower than about an edge of the cage are bridged, unless `detail` asks otherwise. Parts farther apart
+        get closed parts of their own.
 
         Args:
             mesh: A trimesh.Trimesh, or anything with .vertices (n, 3) and .faces (f, 3). It may be open and have
@@ -296,6 +298,9 @@ class Cage(PosableMesh):
                 the smaller volume.
             symmetry: "x", "y" or "z", the normal of a plane through the middle of the mesh about which the cage is its
                 own mirror image ("voxel" only). None asks for no symmetry.
+            detail: "even": vertices lie evenly, and gaps narrower than about an edge are bridged. "parts": thin parts
+                get shorter edges, gaps and holes stay open as far as the count allows, so that limbs get tubes of
+                their own ("shell" only, which "auto" then takes). A warning says what had to be closed.
             progress: True shows bars on stderr. A function is called with (done, total, message) and cancels
                 the work by returning False.
 
@@ -308,7 +313,9 @@ class Cage(PosableMesh):
             Cancelled: Where `progress` returned False.
         """
         return cls(
-            *cage_around_mesh(mesh, vertex_count, margin=margin, method=method, symmetry=symmetry, progress=progress)
+            *cage_around_mesh(
+                mesh, vertex_count, margin=margin, method=method, symmetry=symmetry, detail=detail, progress=progress
+            )
         )
 
     @classmethod
@@ -322,6 +329,7 @@ class Cage(PosableMesh):
         threshold: float | None = None,
         method: str = "auto",
         symmetry: str | None = None,
+        detail: str = "even",
         progress: bool | Progress = False,
     ) -> Cage:
         """A cage around what a field shows; otherwise as `from_mesh`.
@@ -336,6 +344,7 @@ class Cage(PosableMesh):
                 recorded when the field was fitted, or the opacity across a voxel where there are none.
             method: "shell", "voxel" or "auto", as in `from_mesh`.
             symmetry: "x", "y", "z" or None, as in `from_mesh`.
+            detail: "even" or "parts", as in `from_mesh`.
             progress: True shows bars on stderr. A function is called with (done, total, message) and cancels
                 the work by returning False.
 
@@ -355,6 +364,7 @@ class Cage(PosableMesh):
                 threshold=threshold,
                 method=method,
                 symmetry=symmetry,
+                detail=detail,
                 progress=progress,
             )
         )

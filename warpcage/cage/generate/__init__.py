@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from concurrent.futures import ThreadPoolExecutor
 
@@ -86,6 +87,9 @@ def _sideways_normals(cage: ClosedMesh, normal: np.ndarray) -> np.ndarray:
 
 _MIN_COUNT, _MAX_COUNT = 8, 2000
 
+#: Where the vertices of a cage lie: evenly, or as the parts of the object need them.
+DETAILS = ("even", "parts")
+
 
 def voxel_spacing(extent, vertex_count) -> float:
     """Side of a voxel: about 64^3 of them in the box, more for cages of many vertices, at most 160 along a side."""
@@ -122,6 +126,7 @@ def cage_around_mesh(
     margin: float | None = None,
     method: str = "auto",
     symmetry: str | None = None,
+    detail: str = "even",
     sizing: Sizing = None,
     progress: bool | Progress = False,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -153,7 +158,7 @@ def cage_around_mesh(
         # numbered row by row: sorted in a fraction of the time of rows of three
         _, one = np.unique(np.ravel_multi_index(tuple(cell.T), tuple(bounds_of(cell)[1] + 1)), return_index=True)
         points, slack = points[one], slack + np.sqrt(3.0) * 0.1 * spacing
-    return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry, sizing, progress)
+    return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry, detail, sizing, progress)
 
 
 def cage_around_field(
@@ -164,6 +169,7 @@ def cage_around_field(
     threshold: float | None = None,
     method: str = "auto",
     symmetry: str | None = None,
+    detail: str = "even",
     sizing: Sizing = None,
     progress: bool | Progress = False,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -183,26 +189,30 @@ def cage_around_field(
     spacing = max(voxel_spacing(extent, vertex_count), voxel_size.max())
     corner = 0.5 * float(np.linalg.norm(voxel_size))
     floor = getattr(field, "floor", None)  # nodes lie above it: the cage ends there, without what they stand on
-    return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, sizing, progress, floor)
+    return _cage_around_points(
+        points, spacing, corner, margin, vertex_count, method, symmetry, detail, sizing, progress, floor
+    )
 
 
 def _cage_around_points(
-    points, spacing, slack, margin, vertex_count, method, symmetry, sizing, progress, floor: Plane | None = None
+    points, spacing, slack, margin, vertex_count, method, symmetry, detail, sizing, progress, floor: Plane | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tightest cage of the methods asked for; slack: how far the object may lie off its points; floor: where it
     ends."""
-    makers = {"shell": shell_cage, "voxel": voxel_cage}
+    makers = {"shell": functools.partial(shell_cage, detail=detail), "voxel": voxel_cage}
     checked_choice(method, "method", ("auto", *makers))
+    checked_choice(detail, "detail", DETAILS)
     if symmetry not in (None, "x", "y", "z"):
         raise InputError(f"symmetry must be 'x', 'y' or 'z', the normal of the mirror plane, or None, got {symmetry!r}")
     if symmetry is not None and method == "shell":
         raise InputError("symmetry needs method 'voxel' (or 'auto', which takes it then), not 'shell'")
-    if method == "auto":
-        # voxels are even, whatever the sizing
-        makers = {
-            name: makers[name] for name in (["voxel"] if symmetry is not None else ["shell"] if sizing else makers)
-        }
-    else:
+    if detail == "parts" and (method == "voxel" or symmetry is not None):
+        raise InputError("detail 'parts' needs method 'shell' (or 'auto', which takes it then), without symmetry")
+    if method == "auto" and symmetry is not None:
+        method = "voxel"
+    elif method == "auto" and (detail == "parts" or sizing):
+        method = "shell"  # voxels are even
+    if method != "auto":
         makers = {method: makers[method]}
     # in units of the object, about its middle, without the last digits: neither scale nor place may decide a tie
     lower, upper = bounds_of(points)

@@ -11,6 +11,7 @@ from ...core.devices import launch
 from ...core.reports import Progress, report_progress
 from ...errors import InputError
 from ...kernels.mesh.collapses import INFINITE, CollapseRules, Planes, measure_collapses
+from ...kernels.mesh.meetings import find_meeting_rings
 from ...mesh.faces import column_cross, column_dot
 
 
@@ -25,7 +26,10 @@ Sizing = Callable[[np.ndarray], np.ndarray] | None
 
 #: Share of the vertices that one round takes away at most, where they do not touch each other's faces: evenly, and with
 #: a sizing, where a larger one leaves no choice of the place.
-_ROUND, _SIZED_ROUND = 0.08, 0.03
+_ROUND, _SIZED_ROUND = 0.08, 0.05
+
+#: Rounds for which a collapse waits whose faces would pass through others.
+_WAIT = 4
 
 #: How much room, in cubes of the sides of faces to come, the shape of a collapse may cost.
 _SIDE_COST, _SHAPE_COST = 0.05, 0.02
@@ -44,29 +48,69 @@ _NONE, _COLLAPSE_WORK = float(INFINITE), 64
 
 
 def progressive_hull(
-    vertices, faces, vertex_count: int, progress: bool | Progress = False, sizing: Sizing = None
+    vertices, faces, vertex_count: int, progress: bool | Progress = False, sizing: Sizing = None, apart: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a closed manifold surface around the one given, with fewer vertices.
-    They are `vertex_count`, or more where no collapse is left; `sizing`: where they lie denser."""
+    They are `vertex_count`, or more where no collapse is left; `sizing`: where they lie denser; `apart`: no faces may
+    pass through others, as across a narrow gap."""
     # Cheapest first (room, long edges, uneven faces). It stays manifold and outside the one before; faces do not fold.
     vertices, faces = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
     side = edge_length(vertices, faces, vertex_count, sizing)
     first, share = len(vertices), _ROUND if sizing is None else _SIZED_ROUND
+    waiting = np.zeros((0, 3), dtype=np.int64)  # edges that would cross others, and rounds for which they wait
     while len(vertices) > vertex_count:
         report_progress(progress, first - len(vertices), first - vertex_count, "cage: decimate")
         edges, places, costs = _collapses(vertices, faces, side, sizing)
+        if len(waiting):
+            free = ~np.isin(edges @ [len(vertices), 1], waiting[:, :2] @ [len(vertices), 1])
+            edges, places, costs = edges[free], places[free], costs[free]
         if not len(edges):
             break
         most = min(max(int(share * len(vertices)), 1), len(vertices) - vertex_count)
         chosen = _apart(edges, costs, faces, len(vertices), most)
-        vertices[edges[chosen, 0]] = places[chosen]
-        number = np.arange(len(vertices))
-        number[edges[chosen, 1]] = edges[chosen, 0]
-        faces = number[faces]
-        faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-        used, faces = np.unique(faces, return_inverse=True)
-        vertices, faces = vertices[used], faces.reshape(-1, 3)
+        crossing = _crossing(vertices, faces, edges[chosen], places[chosen]) if apart else np.zeros(len(chosen), bool)
+        number, vertices, faces = _collapsed(vertices, faces, edges[chosen[~crossing]], places[chosen[~crossing]])
+        waiting[:, 2] -= not crossing.all()  # so that it ends where there are only such
+        waiting = np.concatenate([waiting, np.insert(edges[chosen[crossing]], 2, _WAIT, axis=1)])
+        waiting = waiting[waiting[:, 2] > 0]
+        waiting[:, :2] = np.sort(number[waiting[:, :2]], axis=1)
     return vertices, faces
+
+
+def _collapsed(vertices, faces, edges, places) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """New number (v,) of each vertex, and vertices and faces once edges (e, 2) are places (e, 3)."""
+    vertices, number = vertices.copy(), np.arange(len(vertices))
+    vertices[edges[:, 0]] = places
+    number[edges[:, 1]] = edges[:, 0]
+    faces = number[faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    used, faces = np.unique(faces, return_inverse=True)
+    return np.searchsorted(used, number), vertices[used], faces.reshape(-1, 3)
+
+
+def _crossing(vertices, faces, edges, places) -> np.ndarray:
+    """(e,) which of the collapses to take back so that no faces pass through each other, where none did before."""
+    taken_back = np.zeros(len(edges), dtype=bool)
+    while True:
+        kept = np.flatnonzero(~taken_back)
+        number, moved, triangles = _collapsed(vertices, faces, edges[kept], places[kept])
+        crossed = meeting_rings(moved, triangles, number[edges[kept, 0]])
+        if not crossed.any():
+            return taken_back
+        taken_back[kept[crossed]] = True
+
+
+def meeting_rings(vertices, faces, rings) -> np.ndarray:
+    """(n,) whether a face around each of the vertices rings (n,) passes through another face."""
+    starts, corners = corner_rings(faces, len(vertices))
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    boxes = [on_cpu(each(each(a, b), c), wp.vec3d) for each in (np.minimum, np.maximum)]
+    found = np.zeros(len(rings), dtype=np.int32)
+    inputs = [on_cpu(rings.astype(np.int32), wp.int32), on_cpu(vertices, wp.vec3d)]
+    inputs += [on_cpu(faces.astype(np.int32), wp.vec3i), on_cpu(starts, wp.int32), on_cpu(corners // 3, wp.int32)]
+    work = len(faces) / 8
+    launch(find_meeting_rings, len(rings), [*inputs, *boxes], [on_cpu(found, wp.int32)], device="cpu", work=work)
+    return found > 0
 
 
 def relative_sizes(sizing: Sizing, points: np.ndarray) -> np.ndarray:

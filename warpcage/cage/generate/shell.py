@@ -7,6 +7,7 @@ import importlib
 import math
 import sys
 import threading
+import warnings
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import warp as wp
 
 from ...core.devices import launch
 from ...core.names import error_line
-from ...core.reports import Progress
+from ...core.reports import Progress, report_progress
 from ...errors import InputError, MissingPackageError
 from ...kernels.mesh.crossings import count_crossings
 from ...mesh.faces import face_area
@@ -25,9 +26,13 @@ from ..shapes import box
 from .decimate import Sizing, edge_length, on_cpu, progressive_hull, relative_sizes
 from .distance import ObjectShell, ObjectVoxels
 from .fit import cleared, drawn_close, spread
+from .parts import part_sizing
 
 #: Closing radii tried, in lengths of the cage's edges: the first gives the tightest cage.
 CLOSINGS = (0.45, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0)
+
+#: Those tried where parts shall stay apart: the first that the count allows is taken.
+PART_CLOSINGS = (0.1, 0.2, 0.3, *CLOSINGS)
 
 #: Share of the way from `need` to the closing radius at which the surface to decimate lies.
 _START = 0.4
@@ -51,11 +56,17 @@ _ROUNDS, _DRAWN, _LAST_ROUNDS = (25, 10, 4), (1.0, 0.75, 0.5, 0.25, 0.0), (0,)
 NOT_CLEAR = "its faces cannot be kept off the object"
 _LOOSE, STRAYS = "it could not be drawn close", "a vertex is far off the object"
 
+#: Share of the object's voxels from which free places that a closing fills are worth a word.
+_FILLED = 0.05
+
+#: Least share of a way, beyond none, that vertices go whose faces would pass through others.
+_LEAST_WAY = 0.2
+
 #: Mean sides of faces, beyond what `need` explains, that vertices may be off the object.
 _CORNER, _FARTHEST = 1.75, 1.5
 
 #: Times more vertices that decimation begins with at most, where a sizing has them dense.
-_DENSEST = 4.0
+_DENSEST = 1.5
 
 #: Vertices of the surface that a progressive hull begins with, for each that it leaves, and whether the last rounds are
 #: tried: all closings are tried with the first, then, where none of them holds, with the next.
@@ -63,16 +74,24 @@ _ATTEMPTS = ((6, False), (9, False), (4, False), (6, True))
 
 
 def shell_cage(
-    voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress: bool | Progress = False, sizing: Sizing = None
+    voxels: ObjectVoxels,
+    vertex_count: int,
+    symmetry=None,
+    progress: bool | Progress = False,
+    sizing: Sizing = None,
+    detail: str = "even",
 ) -> ClosedMesh:
     """Try ever wider closings until a cage comes out that holds."""
     points, spacing, need = voxels.points, voxels.spacing, voxels.need
     shell = ObjectShell(voxels, need + max(0.06 * voxels.size, 2.0 * spacing))
     edge = edge_length(*shell.surface(max(need, _MIN_LEVEL * spacing)), vertex_count)
-    reasons = []
+    closings, apart, reasons, finest = CLOSINGS, detail == "parts", [], None
+    if apart:
+        closings, finest = PART_CLOSINGS, ObjectShell(voxels, need + 2.0 * spacing)
+        sizing = part_sizing(finest, max(need, _MIN_LEVEL * spacing), sizing)
     for fine, last in _ATTEMPTS:
-        found = []
-        for closing in CLOSINGS:
+        found, shells = [], []
+        for closing in closings:
             coarse = closing * edge / 16.0  # wide closings need no fine voxels
             if coarse < _WORTH * spacing:
                 coarse = spacing
@@ -85,14 +104,19 @@ def shell_cage(
             step = int(np.clip(min(edge / _CUBES, level) / coarse, 1, _MAX_STEP))
             surface = shell.surface(level, step)
             start = decimated(*surface, int(fine * vertex_count * denser(*surface, sizing)))
-            hull = progressive_hull(*start, vertex_count, progress, sizing)
-            cage, reason = sound(shell, *hull, need, vertex_count, last=last, sizing=sizing)
-            found += [cage] if cage else []
+            hull = progressive_hull(*start, vertex_count, progress, sizing, apart)
+            cage, reason = sound(shell, *hull, need, vertex_count, last=last, sizing=sizing, apart=apart)
+            if cage:
+                found.append(cage)
+                shells.append(shell)
             if not reason:
                 break
             reasons.append(reason)
         if found:
-            return best_cage(voxels, found, sizing)
+            cage = best_cage(voxels, found, sizing)
+            if finest:
+                say_closed(finest, shells[[each is cage for each in found].index(True)], cage, progress)
+            return cage
     # no closing is wider than a box, which holds as it is
     cage, reason = sound(
         shell, *split_box(voxels.bounds, 1.5 * shell.reach, vertex_count), need, vertex_count, last=True
@@ -100,6 +124,30 @@ def shell_cage(
     if cage is None:
         raise InputError(f"{reason}; before: {', '.join(dict.fromkeys(reasons))}")
     return cage
+
+
+def say_closed(finest: ObjectShell, shell: ObjectShell, cage: ClosedMesh, progress: bool | Progress) -> None:
+    """One line where a cage, made of `shell`, has fewer parts or holes than the object's `finest` shell, or closes
+    gaps."""
+    import scipy.ndimage
+
+    need, unit = finest.voxels.need, finest.spacing
+    level = max(need, _MIN_LEVEL * unit)
+    before, after, lost = ClosedMesh(*finest.surface(level)).topology, cage.topology, []
+    # what is free before and filled now, over what there is
+    free = np.argwhere(finest.closed > level)
+    places = (finest.lower + free * unit - shell.lower) / shell.spacing
+    filled = scipy.ndimage.map_coordinates(shell.closed, places.T, order=1, mode="nearest") <= 0.5 * need
+    if filled.sum() > _FILLED * (finest.closed.size - len(free)):
+        lost.append(f"gaps narrower than {200.0 * shell.reach / finest.voxels.size:.0f} % of the object's size")
+    if (before.genus or 0) > (after.genus or 0):
+        lost.append(f"{before.genus - (after.genus or 0)} of {before.genus} holes")
+    if before.part_count > after.part_count:
+        lost.append(f"the space between {before.part_count} parts, of which it has {after.part_count}")
+    if lost:
+        line = f"a cage of {len(cage.vertices)} vertices closes {' and '.join(lost)}: more vertices keep more of them"
+        report_progress(progress, 1, 1, line)
+        warnings.warn(line, stacklevel=2)
 
 
 def denser(vertices, faces, sizing: Sizing) -> float:
@@ -131,7 +179,7 @@ def split_box(bounds, room, vertex_count) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sound(
-    shell, vertices, faces, need, vertex_count, mirror=None, last=False, sizing: Sizing = None
+    shell, vertices, faces, need, vertex_count, mirror=None, last=False, sizing: Sizing = None, apart=False
 ) -> tuple[ClosedMesh | None, str]:
     """The cage of these faces, drawn as close as holds, and what is wrong with it; or None and why there is none.
     `mirror`: function of the vertices that makes them symmetric, or None; `last`: take them as they are if need be."""
@@ -140,11 +188,15 @@ def sound(
     start, reasons = vertices, []
     for rounds in _LAST_ROUNDS if last else _ROUNDS:
         even = spread(shell, start, faces, need, mirror, rounds)
+        if apart:
+            even = untangled(start, even, faces)
         reason = tangle(shell, even, faces)
         if reason:
             reasons.append(reason)
             continue
         close = drawn_close(shell, even, faces, need, mirror)
+        if apart:
+            close = untangled(even, close, faces)
         for share in _DRAWN:
             vertices = even + share * (close - even)
             reason = tangle(shell, vertices, faces)
@@ -157,6 +209,21 @@ def sound(
                 return cage, _LOOSE if loose else STRAYS if strays(shell.voxels, cage, sizing) else ""
         reasons.append(reason)
     return None, reasons[0]
+
+
+def untangled(before, after, faces) -> np.ndarray:
+    """Vertices (v, 3) moved from before (v, 3), where no faces pass through each other, to after (v, 3) or, where some
+    would, a part of the way."""
+    share = np.ones(len(before))
+    while True:
+        vertices = before + share[:, None] * (after - before)
+        pairs = intersecting_faces(vertices, faces)
+        if not len(pairs):
+            return vertices
+        rows = np.unique(faces[pairs])
+        if not share[rows].any():
+            return vertices
+        share[rows] = np.where(share[rows] > _LEAST_WAY, 0.5 * share[rows], 0.0)
 
 
 def strays(voxels: ObjectVoxels, cage: ClosedMesh, sizing: Sizing = None) -> bool:

@@ -84,6 +84,7 @@ def run_cage(args: argparse.Namespace) -> None:
             margin=args.margin,
             method=args.method or "auto",
             symmetry=args.symmetry,
+            detail=args.detail or "even",
         )
     cage.require_usable("the cage")
     cage.save(output, up=args.cage_up)
@@ -114,7 +115,7 @@ def _check_combination(args: argparse.Namespace) -> None:
         )
     if args.vertices is not None:
         checked_count(args.vertices, "--vertices")
-    if (names := options.given(args, "method", "symmetry")) and (args.box or args.cylinder):
+    if (names := options.given(args, "method", "symmetry", "detail")) and (args.box or args.cylinder):
         raise InputError(f"--{names[0]} is for a cage wrapped around the object")
     if args.segments is not None and len(args.segments) not in (1, 3):
         raise InputError(f"--segments takes one number or three, got {len(args.segments)}")

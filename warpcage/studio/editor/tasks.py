@@ -179,6 +179,7 @@ class Tasks:
         count = checked_whole(message.get("count", 100), "count", *COUNTS)
         method = checked_choice(message.get("method", "auto"), "method", ("auto", "shell", "voxel"))
         symmetry = _axis(message, "symmetry", ("x", "y", "z"))
+        detail = checked_choice(message.get("detail", "even"), "detail", ("even", "parts"))
         margin = message.get("margin")
         if margin is not None:
             margin = checked_number(margin, "margin", 0.0, MAX_MARGIN)
@@ -189,7 +190,7 @@ class Tasks:
             progress(None, "looks for the surface and draws a cage around it")
             around: Any = choose()
             make: Any = Cage.from_mesh if isinstance(around, SurfaceMesh) else Cage.from_field
-            cage = make(around, count, margin=margin, method=method, symmetry=symmetry)
+            cage = make(around, count, margin=margin, method=method, symmetry=symmetry, detail=detail)
             progress(0.95, "adds it to the scene")
             self._apply(lambda document: commands.with_cage(document, number, cage, "generate cage", owner))
             return Outcome(f"a cage of {len(cage.vertices)} vertices{_around(around)}")

@@ -43,6 +43,8 @@ field  field (.npz), splats or mesh ({MESHES})
 --method  shell: an offset surface, decimated and pulled close; voxel: more even faces, like the paper's; auto: the
     tighter of the two (default: auto)
 --symmetry  make the cage symmetric across the middle of this axis (voxel only)
+--detail  even: vertices lie evenly; parts: limbs get tubes of their own, gaps and holes stay open as far as the count
+    allows (shell only) (default: even)
 part of a larger field (several of these narrow it down one after another):
 --selection
 --in-box
@@ -67,6 +69,7 @@ options:
     field={"metavar": "object"},
     method=("auto", "shell", "voxel"),
     symmetry=tuple("xyz"),
+    detail=("even", "parts"),
     reach=positive_float,
     axis=tuple("xyz"),
 )

@@ -30,6 +30,11 @@ const SYMMETRIES = [
   ["z", "z"],
 ];
 
+const DETAILS = [
+  ["even", "Even"],
+  ["parts", "Limbs and gaps"],
+];
+
 const clickHint = () => `${isBrush() ? "Paint over" : "Click"} the object in the picture; Escape leaves it.`;
 
 /** For which edit a new cage is: a field of a dialog. One that keys hold poses of is not replaced unasked. */
@@ -58,6 +63,7 @@ async function generate() {
       { name: "margin", label: "Margin", type: "number", value: null, min: 0, max: 100, step: 0.5, unit: "voxels", optional: true, help: "Gap between object and cage. Empty: automatic." },
       { name: "method", label: "Method", type: "choice", value: "auto", choices: METHODS },
       { name: "symmetry", label: "Symmetry", type: "choice", value: null, choices: SYMMETRIES },
+      { name: "detail", label: "Detail", type: "choice", value: "even", choices: DETAILS, help: "Tubes for limbs, gaps and holes open where the vertices suffice; without symmetry." },
     ],
     confirm: "Generate",
   });
