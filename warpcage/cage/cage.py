@@ -281,6 +281,9 @@ class Cage(PosableMesh):
         method: str = "auto",
         symmetry: str | None = None,
         detail: str = "even",
+        focus: Any = None,
+        finer: float = 2.0,
+        faces: str = "triangles",
         progress: bool | Progress = False,
     ) -> Cage:
         """A cage around a mesh: closed, manifold, outward, without intersecting faces; the same for the same mesh.
@@ -297,10 +300,17 @@ class Cage(PosableMesh):
                 along the mesh's principal axes (Xian, Lin and Gao 2009), whose faces are more even. "auto": the one of
                 the smaller volume.
             symmetry: "x", "y" or "z", the normal of a plane through the middle of the mesh about which the cage is its
-                own mirror image ("voxel" only). None asks for no symmetry.
+                own mirror image ("voxel" only). "auto" takes that across which 95 % of the mesh's image lie within 2 %
+                of its size of it, the best one, or none. None asks for no symmetry.
             detail: "even": vertices lie evenly, and gaps narrower than about an edge are bridged. "parts": thin parts
                 get shorter edges, gaps and holes stay open as far as the count allows, so that limbs get tubes of
                 their own ("shell" only, which "auto" then takes). A warning says what had to be closed.
+            focus: Where edges are shorter, at the same number of vertices ("shell" only): points (n, 3), world units; a
+                NodeSelection; or, where poses bend it, a PoseFile or a list of a cage at rest and poses of it, around
+                the same object. None makes them even.
+            finer: By which factor edges are shorter in the focus than far from it, 1 to 8.
+            faces: "triangles", or "quads": of pairs of triangles, by a matching of most weight on how square and flat
+                they are; 9 of 10 faces and more, the rest triangles. Their patches enclose the mesh, see `surface`.
             progress: True shows bars on stderr. A function is called with (done, total, message) and cancels
                 the work by returning False.
 
@@ -314,7 +324,16 @@ class Cage(PosableMesh):
         """
         return cls(
             *cage_around_mesh(
-                mesh, vertex_count, margin=margin, method=method, symmetry=symmetry, detail=detail, progress=progress
+                mesh,
+                vertex_count,
+                margin=margin,
+                method=method,
+                symmetry=symmetry,
+                detail=detail,
+                focus=focus,
+                finer=finer,
+                faces=faces,
+                progress=progress,
             )
         )
 
@@ -330,6 +349,9 @@ class Cage(PosableMesh):
         method: str = "auto",
         symmetry: str | None = None,
         detail: str = "even",
+        focus: Any = None,
+        finer: float = 2.0,
+        faces: str = "triangles",
         progress: bool | Progress = False,
     ) -> Cage:
         """A cage around what a field shows; otherwise as `from_mesh`.
@@ -343,8 +365,11 @@ class Cage(PosableMesh):
             threshold: Density from which a voxel is visible, per world unit. None takes the weights that were
                 recorded when the field was fitted, or the opacity across a voxel where there are none.
             method: "shell", "voxel" or "auto", as in `from_mesh`.
-            symmetry: "x", "y", "z" or None, as in `from_mesh`.
+            symmetry: "x", "y", "z", "auto" or None, as in `from_mesh`.
             detail: "even" or "parts", as in `from_mesh`.
+            focus: Where edges are shorter, as in `from_mesh`.
+            finer: By which factor, as in `from_mesh`.
+            faces: "triangles" or "quads", as in `from_mesh`.
             progress: True shows bars on stderr. A function is called with (done, total, message) and cancels
                 the work by returning False.
 
@@ -365,6 +390,9 @@ class Cage(PosableMesh):
                 method=method,
                 symmetry=symmetry,
                 detail=detail,
+                focus=focus,
+                finer=finer,
+                faces=faces,
                 progress=progress,
             )
         )

@@ -9,7 +9,7 @@ import trimesh
 from polygon_cages import quad_cube
 from runs import command, succeed
 
-from warpcage import Cage, VoxelField
+from warpcage import Cage, PoseFile, VoxelField
 from warpcage.studio.cli import main
 
 
@@ -151,3 +151,20 @@ def test_quads_go_through_all_commands(files, tmp_path, capsys):
     assert "6" in next(line for line in capsys.readouterr().out.splitlines() if line.startswith("faces"))
     succeed(files, "pose", tmp_path / "rest.obj", "-o", tmp_path / "bent.ply", "--bend", 30)
     assert Cage.load(tmp_path / "bent.ply").polygons == rest.polygons
+
+
+def test_cages_of_quads_with_a_focus_say_what_they_are_made_of(tmp_path, capsys):
+    trimesh.creation.box([2.0, 1.0, 0.6]).export(tmp_path / "brick.obj")
+    rest = Cage.box([-1.1, -0.6, -0.4], [1.1, 0.6, 0.4], segments=(4, 1, 1))
+    PoseFile(rest, {"up": rest.bend(50, axis="x", limits=(0.5, 1), towards="z")}).save(tmp_path / "poses.json")
+    call = ["cage", str(tmp_path / "brick.obj"), "-o", str(tmp_path / "cage.obj"), "--vertices", "30"]
+    assert main([*call, "--faces", "quads", "--symmetry", "auto"]) == 0
+    said, cage = capsys.readouterr().out, Cage.load(tmp_path / "cage.obj")
+    quads = sum(len(face) == 4 for face in cage.polygons)
+    assert f"{cage.face_count} faces, {100 * quads / cage.face_count:.0f} % of them quads, symmetric across " in said
+    assert main([*call, "--focus", str(tmp_path / "poses.json"), "--finer", "2"]) == 0
+    finer = Cage.load(tmp_path / "cage.obj").vertices[:, 0]
+    assert (finer > 0).sum() > (finer < 0).sum()
+    assert main([*call, "--focus", str(tmp_path / "part.npz")]) == 2
+    assert "is a selection, which is of a field" in capsys.readouterr().err
+    assert main([*call, "--box", "--faces", "quads"]) == 2

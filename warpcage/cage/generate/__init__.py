@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import logging
 from concurrent.futures import ThreadPoolExecutor
@@ -15,13 +16,16 @@ from ...core.threads import cpu_threads
 from ...errors import InputError
 from ...field.surface import require_field
 from ...mesh.mesh import ClosedMesh
-from ...mesh.queries import inside_mesh, intersecting_faces
+from ...mesh.queries import crossing_faces, inside_mesh
 from ...mesh.validity import first_problem, require_usable
 from ...select.planes import Plane
 from ...select.selection import visible_nodes
 from .decimate import Sizing, progressive_hull
 from .distance import ObjectShell, ObjectVoxels, bounds_of
 from .fit import cleared, face_samples, row_sums
+from .focus import focused
+from .mirror import nearest_mirror
+from .quads import quad_cage
 from .shell import NOT_CLEAR, decimated, flaw, shell_cage, strays
 from .voxel import voxel_cage
 
@@ -59,9 +63,9 @@ def ended_at(floor: Plane, cage: ClosedMesh, points: np.ndarray, spacing: float)
     near = points[floor.heights(points) < _LOOKED_AT * edge]
     outward = _sideways_normals(cage, floor.normal)
     for _ in range(_ROUNDS):
-        now = ClosedMesh(moved, cage.faces)
+        now = cage.with_vertices(moved)
         trouble = first_problem(now)
-        if trouble or len(intersecting_faces(now.vertices, now.faces)):
+        if trouble or len(crossing_faces(now)):
             raise InputError(f"cut at the plane below the object it {trouble or 'passes through itself'}")
         left = near[~inside_mesh(near, now, device="cpu")]
         if not len(left):
@@ -77,7 +81,8 @@ def ended_at(floor: Plane, cage: ClosedMesh, points: np.ndarray, spacing: float)
 
 def _sideways_normals(cage: ClosedMesh, normal: np.ndarray) -> np.ndarray:
     """(v, 3) directions out of a cage along a plane, 0 where a vertex looks straight up or down."""
-    a, b, c = cage.corners
+    local = cage.vertices - cage.bounds.mean(axis=0)
+    a, b, c = (local[cage.faces[:, k]] for k in range(3))
     faces = np.cross(b - a, c - a)
     total = row_sums(list(cage.faces.T), [faces] * 3, len(cage.vertices))
     total = total - (total @ normal)[:, None] * normal
@@ -119,6 +124,17 @@ def checked_count(vertex_count, name: str = "vertex_count") -> int:
 _MAX_POINTS = 1_000_000
 
 
+@dataclasses.dataclass(frozen=True)
+class _CageOptions:
+    """How a cage is made; see `Cage.from_mesh`. sizing: relative lengths of edges in world units, or None."""
+
+    method: str
+    symmetry: str | None
+    detail: str
+    sizing: Sizing
+    faces: str
+
+
 def cage_around_mesh(
     mesh,
     vertex_count: int = 100,
@@ -128,6 +144,9 @@ def cage_around_mesh(
     symmetry: str | None = None,
     detail: str = "even",
     sizing: Sizing = None,
+    focus=None,
+    finer: float = 2.0,
+    faces: str = "triangles",
     progress: bool | Progress = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a cage of about `vertex_count` vertices around a mesh; see `Cage.from_mesh`.
@@ -137,28 +156,30 @@ def cage_around_mesh(
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise InputError(f"a mesh must have vertices and faces, as a trimesh.Trimesh, got {type(mesh).__name__}")
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    faces = np.asarray(mesh.faces, dtype=np.int64)
-    if not len(vertices) or not len(faces):
-        raise InputError(f"the mesh is empty: it has {len(vertices)} vertices and {len(faces)} faces")
+    triangles = np.asarray(mesh.faces, dtype=np.int64)
+    if not len(vertices) or not len(triangles):
+        raise InputError(f"the mesh is empty: it has {len(vertices)} vertices and {len(triangles)} faces")
     if not np.isfinite(vertices).all():
         row = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
         raise InputError(f"the mesh is not finite: vertex {row} is {vertices[row].tolist()}")
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.min() < 0 or triangles.max() >= len(vertices):
         raise InputError(f"the mesh's faces must be (f, 3) indices from 0 to {len(vertices) - 1}")
     lower, upper = bounds_of(vertices)
     size = (upper - lower).max()
     if size == 0.0:
         raise InputError("the mesh has no extent: all its vertices are in one place")
     margin = checked_number(0.01 * size if margin is None else margin, "margin", 0.0)
+    sizing = sizing or focused(focus, finer, size)
     spacing = voxel_spacing(upper - lower, vertex_count)
-    points = np.concatenate([vertices, surface_points(vertices, faces, 0.5 * spacing)])
+    points = np.concatenate([vertices, surface_points(vertices, triangles, 0.5 * spacing)])
     slack = 0.29 * spacing  # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
     if len(points) > _MAX_POINTS:  # long, narrow faces: a point stands for those less than a diagonal away
         cell = np.floor((points - bounds_of(points)[0]) / (0.1 * spacing)).astype(np.int64)
         # numbered row by row: sorted in a fraction of the time of rows of three
         _, one = np.unique(np.ravel_multi_index(tuple(cell.T), tuple(bounds_of(cell)[1] + 1)), return_index=True)
         points, slack = points[one], slack + np.sqrt(3.0) * 0.1 * spacing
-    return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry, detail, sizing, progress)
+    options = _CageOptions(method, symmetry, detail, sizing, faces)
+    return _cage_around_points(points, spacing, slack, margin, vertex_count, options, progress)
 
 
 def cage_around_field(
@@ -171,6 +192,9 @@ def cage_around_field(
     symmetry: str | None = None,
     detail: str = "even",
     sizing: Sizing = None,
+    focus=None,
+    finer: float = 2.0,
+    faces: str = "triangles",
     progress: bool | Progress = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a cage of `vertex_count` vertices (within 10 %) around what a field shows.
@@ -185,25 +209,43 @@ def cage_around_field(
         raise InputError("the field shows nothing to put a cage around: lower the threshold")
     lower, upper = bounds_of(points)
     extent = np.maximum(upper - lower, voxel_size)
+    sizing = sizing or focused(focus, finer, float(extent.max()))
     # a grid no finer than the field's, or its empty lines between nodes would count as gaps
     spacing = max(voxel_spacing(extent, vertex_count), voxel_size.max())
     corner = 0.5 * float(np.linalg.norm(voxel_size))
     floor = getattr(field, "floor", None)  # nodes lie above it: the cage ends there, without what they stand on
     return _cage_around_points(
-        points, spacing, corner, margin, vertex_count, method, symmetry, detail, sizing, progress, floor
+        points,
+        spacing,
+        corner,
+        margin,
+        vertex_count,
+        _CageOptions(method, symmetry, detail, sizing, faces),
+        progress,
+        floor,
     )
 
 
 def _cage_around_points(
-    points, spacing, slack, margin, vertex_count, method, symmetry, detail, sizing, progress, floor: Plane | None = None
+    points, spacing, slack, margin, vertex_count, options: _CageOptions, progress, floor: Plane | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tightest cage of the methods asked for; slack: how far the object may lie off its points; floor: where it
     ends."""
+    method, symmetry, detail, sizing = options.method, options.symmetry, options.detail, options.sizing
     makers = {"shell": functools.partial(shell_cage, detail=detail), "voxel": voxel_cage}
     checked_choice(method, "method", ("auto", *makers))
     checked_choice(detail, "detail", DETAILS)
-    if symmetry not in (None, "x", "y", "z"):
-        raise InputError(f"symmetry must be 'x', 'y' or 'z', the normal of the mirror plane, or None, got {symmetry!r}")
+    checked_choice(options.faces, "faces", ("triangles", "quads"))
+    if symmetry not in (None, "x", "y", "z", "auto"):
+        raise InputError(
+            f"symmetry must be 'x', 'y' or 'z', the normal of the mirror plane, 'auto' or None, got {symmetry!r}"
+        )
+    if symmetry == "auto":
+        even = method != "shell" and sizing is None and detail == "even"
+        symmetry = nearest_mirror(points, spacing) if even else None
+        _log.info("symmetric about %s", symmetry or "no plane across an axis")
+    if symmetry is not None and sizing is not None:
+        raise InputError("symmetry needs method 'voxel', which is even: leave out symmetry or focus")
     if symmetry is not None and method == "shell":
         raise InputError("symmetry needs method 'voxel' (or 'auto', which takes it then), not 'shell'")
     if detail == "parts" and (method == "voxel" or symmetry is not None):
@@ -220,12 +262,16 @@ def _cage_around_points(
     points = np.round((points - middle) / size, 9)
     spacing, slack, margin = (float(np.round(length / size, 9)) for length in (spacing, slack + 2e-9 * size, margin))
     relative: Sizing = None if sizing is None else lambda x: sizing(middle + size * x)
+    along = "xyz".index(symmetry) if symmetry else 0
+    plane = (along, float(bounds_of(points)[:, along].mean())) if symmetry else None
     voxels, names, strayed = ObjectVoxels(points, spacing, slack + margin), list(makers), {}
 
     def made(name: str, progress: bool | Progress) -> ClosedMesh | str:
         """The cage of a method, or why there is none."""
         try:
             cage = makers[name](voxels, vertex_count, symmetry, progress, relative)
+            if options.faces == "quads":
+                cage = quad_cage(voxels, cage, plane)
             strayed[name] = strays(voxels, cage, relative)
             cage = cage.with_vertices(middle + size * cage.vertices)
             if floor is not None:
@@ -252,7 +298,7 @@ def _cage_around_points(
             "vertices, a smaller margin, or begin with a box"
         )
     best = found[min(found, key=lambda name: (strayed[name], found[name].volume))]
-    return best.vertices, best.faces
+    return best.vertices, best.face_array
 
 
 def simplified_cage(vertices, faces, points, spacing, need, vertex_count) -> tuple[np.ndarray, np.ndarray]:

@@ -20,6 +20,7 @@ import numpy as np
 from ...cage.axes import axis_of, default_towards, with_up
 from ...cage.cage import Cage
 from ...cage.generate import checked_count
+from ...cage.generate.mirror import mirror_axes
 from ...cage.pose_file import PoseFile
 from ...cage.presets import is_preset
 from ...cage.snap import cut_matter, snap_to_gaps
@@ -85,10 +86,34 @@ def run_cage(args: argparse.Namespace) -> None:
             method=args.method or "auto",
             symmetry=args.symmetry,
             detail=args.detail or "even",
+            focus=_focus(args, scene_object if is_field else None),
+            finer=2.0 if args.finer is None else args.finer,
+            faces=args.faces or "triangles",
         )
     cage.require_usable("the cage")
     cage.save(output, up=args.cage_up)
-    print(f"wrote {output}: {len(cage.vertices)} vertices, {cage.face_count} faces")
+    print(f"wrote {output}: {len(cage.vertices)} vertices, {cage.face_count} faces{_made_of(cage, args)}")
+
+
+def _focus(args: argparse.Namespace, field: Any) -> NodeSelection | PoseFile | None:
+    """Where edges are shorter: a selection of the field, or poses."""
+    if args.focus is None:
+        return None
+    if pathlib.Path(args.focus).suffix.lower() != ".npz":
+        return PoseFile.load(args.focus)
+    if field is None:
+        raise InputError(f"--focus {args.focus!r} is a selection, which is of a field: a mesh takes poses")
+    return NodeSelection.load(args.focus, getattr(field, "field", field))
+
+
+def _made_of(cage: Cage, args: argparse.Namespace) -> str:
+    """Which share of the faces are quads, and the plane of symmetry, where these were asked for."""
+    quads = sum(len(face) == 4 for face in cage.polygons)
+    said = f", {100 * quads / cage.face_count:.0f} % of them quads" if args.faces == "quads" else ""
+    if args.symmetry == "auto":
+        axes = mirror_axes(cage.vertices)
+        said += f", symmetric across {', '.join(axes)}" if axes else ", symmetric across no axis: the object is not"
+    return said
 
 
 def _snap(field: Any, args: argparse.Namespace, output: pathlib.Path) -> None:
@@ -115,7 +140,8 @@ def _check_combination(args: argparse.Namespace) -> None:
         )
     if args.vertices is not None:
         checked_count(args.vertices, "--vertices")
-    if (names := options.given(args, "method", "symmetry", "detail")) and (args.box or args.cylinder):
+    names = options.given(args, "method", "symmetry", "detail", "focus", "finer", "faces")
+    if names and (args.box or args.cylinder):
         raise InputError(f"--{names[0]} is for a cage wrapped around the object")
     if args.segments is not None and len(args.segments) not in (1, 3):
         raise InputError(f"--segments takes one number or three, got {len(args.segments)}")

@@ -28,6 +28,7 @@ command(
   warpcage cage room.npz -o chair.glb --seed 0.2 0 -0.5 --floaters 0.01
   warpcage cage room.npz -o cup.obj --selection cup.npz      (see warpcage select)
   warpcage cage dtu.npz -o object.obj --masks data/dtu_scan24 --method voxel
+  warpcage cage lego.npz -o finer.obj --faces quads --focus poses.json
   warpcage cage lego.obj -o box.obj --box --segments 2 2 3
   warpcage cage house.npz -o wing.obj --snap box.obj --reach 0.1
   warpcage cage lego.obj -o tube.obj --cylinder --axis z --sides 12 --rings 4
@@ -42,9 +43,14 @@ field  field (.npz), splats or mesh ({MESHES})
     cylinder, otherwise chosen from the object)
 --method  shell: an offset surface, decimated and pulled close; voxel: more even faces, like the paper's; auto: the
     tighter of the two (default: auto)
---symmetry  make the cage symmetric across the middle of this axis (voxel only)
+--symmetry  make the cage symmetric across the middle of this axis (voxel only); auto: of the axis across which the
+    object nearly is, if any
 --detail  even: vertices lie evenly; parts: limbs get tubes of their own, gaps and holes stay open as far as the count
     allows (shell only) (default: even)
+--focus FILE  shorter edges at the nodes of a selection (.npz), or where the poses of another cage around the object
+    bend it (a pose file, .json, or other poses as of `warpcage pose --posed`); shell only
+--finer FACTOR  by which edges are shorter there, 1 to 8 (default: 2)
+--faces  triangles, or quads where they hold (default: triangles)
 part of a larger field (several of these narrow it down one after another):
 --selection
 --in-box
@@ -68,8 +74,10 @@ options:
     SCALE_AND_DEVICE,
     field={"metavar": "object"},
     method=("auto", "shell", "voxel"),
-    symmetry=tuple("xyz"),
+    symmetry=(*"xyz", "auto"),
     detail=("even", "parts"),
+    finer=positive_float,
+    faces=("triangles", "quads"),
     reach=positive_float,
     axis=tuple("xyz"),
 )
