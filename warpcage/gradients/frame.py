@@ -33,6 +33,8 @@ class FrameGradient:
     """Derivatives of a loss of one frame, on its device."""
 
     nodes: wp.array  # (nx, ny, nz) vec3, by the canonical position of each node of the map, per world unit
+    vertices: wp.array | None = None  # (v,) vec3, by the vertices of the posed cage, per world unit
+    rest_vertices: wp.array | None = None  # (v,) vec3, by those of the cage at rest
     camera: np.ndarray | None = None  # (7,) float64: turns about its axes, radians; shifts along them; log focal length
     density: wp.array | None = None  # (rows,) float32, by the field's densities before the ReLU
     harmonics: wp.array | None = None  # (rows, 24 or 27) float32, by the numbers of its harmonics
@@ -45,6 +47,7 @@ def frame_gradient(
     *,
     alpha_gradient: Any = None,
     depth_gradient: Any = None,
+    by_vertices: bool = False,
     by_camera: bool = False,
     by_field: bool = False,
     background: Any = None,
@@ -62,6 +65,7 @@ def frame_gradient(
         image_gradient: (h, w, 3) derivatives by the colours, an array of any library. None is zero.
         alpha_gradient: (h, w) by the opacities. None is zero.
         depth_gradient: (h, w) by the depths, world units; those of pixels without a depth do not count. None is zero.
+        by_vertices: Whether to return the gradient by the vertices of both cages, see `PositionMap.vertex_gradient`.
         by_camera: Whether to return the gradient by the camera.
         by_field: Whether to return the gradient by the field's densities and harmonics.
         background: As for `Deformer.render`, what the loss saw.
@@ -92,7 +96,11 @@ def frame_gradient(
         sums = _Sums(tuple(edit.node_counts), stored if by_field else None, view if by_camera else None, field.device)
         inputs = [grid, field.marching.columns.columns, edit, camera_struct(camera, field.center)]
         sums.add(view, [*inputs, wp.vec3(*map(float, view.color)), options, loss])
-        return sums.gradient()
+        found = sums.gradient()
+        if by_vertices:
+            posed, rest = scene.lattices.maps[0].vertex_gradient(found.nodes)
+            found = dataclasses.replace(found, vertices=posed, rest_vertices=rest)
+        return found
 
 
 def _plain_scene(deformer: Deformer[Any]) -> PosedScene:
@@ -159,7 +167,8 @@ class _Sums:
             sums = empty_array((runs, int(CAMERA_NUMBERS)), wp.float32, self._device)
             launch(sum_runs, sums.size, [self._rays, RUN], [sums], device=self._device, work=RUN)
             camera = sums.numpy().sum(axis=0, dtype=np.float64)
-        return FrameGradient(nodes.reshape(self._shape), camera, *of_field)
+        names = dict(zip(("density", "harmonics"), of_field, strict=False))
+        return FrameGradient(nodes.reshape(self._shape), camera=camera, **names)
 
     def _parts(self, number: int) -> list[wp.array]:
         """Gradients of a block: by nodes (nodes,) vec3, densities (rows,) and harmonics (rows, n)."""

@@ -9,7 +9,7 @@ from fields import BOX, ellipsoid, make_field, shiny, shiny_field, surrounded_ba
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
-from warpcage import Cage, CageEdit, Camera, Deformer, SurfaceMesh, VoxelField
+from warpcage import Cage, CageEdit, Camera, Deformer, SurfaceMesh, VoxelField, deform_points, turntable
 from warpcage.gradients import frame_gradient
 
 BACKGROUND = (0.3, 0.6, 0.1)
@@ -209,6 +209,54 @@ def test_gradients_by_nodes_and_camera_are_differences_of_frames(pose, device):
     changes = [node_changes((*found.nodes.shape, 3), seed)[1] for seed in range(4)]
     values, expected = [(found.nodes.numpy() * change).sum() for change in changes], differences(rendered_with, changes)
     assert relative_error(values, expected) < 1e-2
+
+
+@pytest.mark.parametrize("kind", ["harmonic", "mean_value", "green"])
+def test_gradients_by_vertices_are_differences_of_frames_of_poses(kind, device):
+    field = make_field(lambda x: ellipsoid(x, sigma=6.0), shiny, device=device)
+    camera, random = view(size=64), np.random.default_rng(3)
+    places = np.stack(np.meshgrid(*2 * [np.arange(64)], indexing="ij"), axis=-1)
+    loss = np.sin(places @ np.array([[0.1, 0.05, 0.02], [0.03, -0.1, 0.08]]) + [0, 1, 2])
+    posed = BOX.scale([1.1, 0.9, 1.0]).vertices + 0.02 * random.normal(size=BOX.vertices.shape)
+    deformer = Deformer(field, BOX, resolution=32, coordinates=kind).pose(posed)
+    found = frame_gradient(deformer, camera, loss, background=BACKGROUND, by_vertices=True).vertices.numpy()
+
+    def rendered(change):
+        frame = deformer.posed(posed + change).render(camera, background=BACKGROUND)
+        return (frame.rgb * loss).sum(dtype=float)
+
+    shift = np.tile([1, 0.5, -0.7], (len(posed), 1))
+    changes = [shift, posed - posed.mean(axis=0), *random.normal(size=(2, *posed.shape))]
+    expected = [np.mean([central(rendered, change, h) for h in (1e-3, 3e-3)]) for change in changes]
+    assert relative_error([(found * change).sum() for change in changes], expected) < 1e-2
+
+
+def test_descent_from_rest_finds_a_small_pose(device):
+    """By vertices alone, without priors, in fourteen steps."""
+    field, truth = shiny_field(device), BOX.bend(12, axis="x", towards="z").translate([0.02, 0.01, -0.02])
+    deformer = Deformer(field, BOX, resolution=24)
+    cameras = turntable((0, 0, 0), 2.6, 25, 4, width=24, height=24)
+    targets = [deformer.posed(truth).render(camera, background="white").rgb for camera in cameras]
+    vertices, step, losses, rate = BOX.vertices, 0.0, [], None
+    for _ in range(14):
+        deformer.pose(vertices)
+        total, gradient = 0.0, np.zeros_like(vertices)
+        for camera, target in zip(cameras, targets, strict=True):
+            difference = deformer.render(camera, background="white").rgb - target
+            found = frame_gradient(deformer, camera, 2 * difference, background="white", by_vertices=True)
+            total, gradient = total + (difference.astype(float) ** 2).sum(), gradient + found.vertices.numpy()
+        losses.append(total)
+        rate = 0.01 * BOX.size / np.abs(gradient).max() if rate is None else rate
+        step = 0.75 * step - rate * gradient
+        vertices = vertices + step
+    points = np.random.default_rng(0).uniform(-1, 1, (4000, 3))
+    points = points[ellipsoid(points) > 0]
+    start, end = (
+        np.linalg.norm(deform_points(points, BOX, BOX.with_vertices(pose)) - deform_points(points, BOX, truth), axis=1)
+        for pose in (BOX.vertices, vertices)
+    )
+    assert losses[-1] < 0.1 * losses[0]
+    assert np.sqrt((end**2).mean()) < 0.6 * np.sqrt((start**2).mean())
 
 
 def test_a_frame_that_does_not_count_has_no_gradient(device):
