@@ -54,6 +54,9 @@ def test_gltf_has_the_triangles_of_polygons(tmp_path):
     with pytest.warns(UserWarning, match="cage.glb holds triangles"):
         cage.save(tmp_path / "cage.glb")
     loaded = Cage.load(tmp_path / "cage.glb")
+    with pytest.warns(UserWarning) as found:
+        PoseFile(cage, {"bent": cage.bend(20)}).save(tmp_path / "walk.gltf")
+    assert [str(each.message).partition(" holds ")[0] for each in found] == [str(tmp_path / "walk.gltf")]
     np.testing.assert_array_equal(loaded.faces, cage.faces)
     np.testing.assert_allclose(cage.match(loaded).vertices, cage.vertices, atol=1e-6)
 

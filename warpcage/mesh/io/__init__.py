@@ -129,6 +129,8 @@ def _chosen(
         require_type(object, str, "the name of an object must be")
         if object not in names and names not in ([], [UNNAMED]):
             raise InputError(f"{path}: there is no object {object!r} in it, only {listed(names)}")
+        if object not in names:
+            warn_caller(f"{path} holds one mesh without a name: it is taken for {object!r}")
         return object if object in names else ""
     if len(names) < 2:
         return "" if names in ([], [UNNAMED]) else names[0]
@@ -193,7 +195,7 @@ def write_mesh(path: PathLike, mesh: ClosedMesh, up: str | None = None) -> None:
         if format.polygons:
             faces = mesh.polygons
         else:
-            warn_caller(f"{path} holds triangles: faces of more corners are cut; .obj, .ply, .off and USD keep them")
+            _warn_cut(path)
     vertices = mesh.vertices
     if _turned(path, up, "write"):
         vertices = turned_up(vertices, "z", "y")
@@ -227,6 +229,8 @@ def write_shown_mesh(
             raise InputError(f"{str(path)!r}: textures are written to glTF (.glb, .gltf)")
         data = write_usd(vertices, faces if polygons is None else polygons, ending=ending, **shown)
     else:
+        if polygons is not None and len(polygons) < len(faces):
+            _warn_cut(path)
         if frames is not None:
             shown["frames"] = turned_up(np.asarray(frames).reshape(-1, 3), "z", "y").reshape(np.shape(frames))
         if texture is not None:
@@ -234,6 +238,10 @@ def write_shown_mesh(
         data = (write_glb if ending == ".glb" else write_gltf)(turned_up(vertices, "z", "y"), faces, **shown)
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
+
+
+def _warn_cut(path: pathlib.Path) -> None:
+    warn_caller(f"{path} holds triangles: faces of more corners are cut; .obj, .ply, .off and USD keep them")
 
 
 def _up(path: pathlib.Path, verb: str = "read") -> str:
