@@ -39,6 +39,14 @@ def resolvers(folder):
     return AssetResolver(folder, report=lines.append), AssetResolver(folder, in_json=True), lines
 
 
+@pytest.mark.parametrize("file", ["poses.json", "walk.glb", "walk.pc2"])
+def test_the_other_spelling_of_a_keyframe_is_named(folder, file):
+    shell, in_json, _ = resolvers(folder)
+    refused(lambda: shell.pose(RestCage(BOX), f"{file}#frame 1"), match=f"is named so: {file}:frame 1")
+    refused(lambda: in_json.pose(RestCage(BOX), f"{file}:frame 1"), match=f"is named so: {file}#frame 1")
+    refused(lambda: in_json.pose(RestCage(BOX), "none.json:frame 1"), match="must end in")
+
+
 @pytest.mark.parametrize(
     "name",
     [

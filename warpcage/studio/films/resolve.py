@@ -99,9 +99,13 @@ class AssetResolver:
 
     def split(self, text: str) -> tuple[str, str]:
         """A file and the key that a text names in it, "" for all of the file."""
-        if self.in_json:
-            return split_reference(text)
-        return file_and_name(text, "|".join(each[1:] for each in (".json", *MOVING_ENDINGS))) or (text, "")
+        by_mark = split_reference(text)
+        by_colon = file_and_name(text, "|".join(each[1:] for each in (".json", *MOVING_ENDINGS))) or (text, "")
+        found, other, mark = (by_mark, by_colon, "#") if self.in_json else (by_colon, by_mark, ":")
+        if not found[1] and other[1] and not self.path(text).exists() and self.path(other[0]).is_file():
+            where = "job files" if self.in_json else "flags and edits"
+            raise InputError(f"{text!r}: in {where} a keyframe of a file is named so: {other[0]}{mark}{other[1]}")
+        return found
 
     def stamped(self, name: str, what: str) -> tuple[str, tuple[int, int]]:
         """A file and its stamp, by which what was made of it is known. Raises FileNotFoundError."""
