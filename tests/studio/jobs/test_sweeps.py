@@ -267,6 +267,12 @@ def test_options_of_pictures_are_those_of_all_items(files, tmp_path):
     assert items_of(tmp_path / "jpg.jsonl")[0].outputs["rgb"] == "pose_000000/camera_000.jpg"
 
 
+@pytest.mark.parametrize("wrong", ["2,0,0", "0.1,0.2"])
+def test_a_wrong_background_is_named_by_its_flag(files, tmp_path, capsys, wrong):
+    assert run(files, *SWEEP, "--poses", "rest", "--background", wrong, "-o", tmp_path / "sweep.jsonl") == 2
+    assert "error: --background must be" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("cameras", ["orbit:3:35", "random:3"])
 def test_cameras_that_are_made_see_all_poses_whole(files, tmp_path, cameras):
     argv = ["--poses", "stretch:2.5:x", "translate:0:0:2", "--cameras", cameras, "--size", 60, 40, "--fov", 50]

@@ -19,6 +19,7 @@ from ...core.arrays import box_corners
 from ...core.names import BACKGROUNDS, TRANSPARENT, counted
 from ...core.npz import NpyFile
 from ...core.reports import bar, say, say_above_bar, span_text
+from ...core.spec import color
 from ...core.threads import cpu_threads
 from ...errors import InputError
 from ...scene.formats.transforms import TransformsCameras
@@ -214,6 +215,7 @@ def _background(args: argparse.Namespace) -> str | list[float] | None:
         return None
     if given == TRANSPARENT and args.image == "jpg":
         raise InputError("a JPEG has no opacity: take --image png, or another --background")
+    color(transparent=True).check(given, "--background")
     return given if isinstance(given, str) else list(given)
 
 
