@@ -289,7 +289,9 @@ class Cage(PosableMesh):
         """A cage around a mesh: closed, manifold, outward, without intersecting faces; the same for the same mesh.
 
         Gaps narrower than about an edge of the cage are bridged, unless `detail` asks otherwise. Parts farther apart
-        get closed parts of their own.
+        get closed parts of their own. Vertices lie within 1.75 (margin + slack) + 1.5 sqrt(area / count) of the mesh
+        where any attempt keeps to that; the area is the cage's, the slack that of distances, at most half a percent of
+        the size.
 
         Args:
             mesh: A trimesh.Trimesh, or anything with .vertices (n, 3) and .faces (f, 3). It may be open and have
