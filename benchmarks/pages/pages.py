@@ -272,6 +272,35 @@ def simulated(files: list[dict]) -> list[str]:
     return [table(head, rows)]
 
 
+# Blender
+
+
+def blender_quads(files: list[dict]) -> list[str]:
+    head = ["cage", "quads", "corners off the plane of their face", "points", "apart: median, 95 %, most", "quads cut"]
+    rows = [
+        [
+            row["cage"],
+            str(row["quads"]),
+            f"{100 * row['planarity_posed']:.0f} % of the face at most",
+            f"{row['points']:,}",
+            *(", ".join(f"{share:.1e}" for share in row[key]) for key in ("quads_apart", "cut_apart")),
+        ]
+        for found in files
+        for row in found["rows"]
+    ]
+    return [table(head, rows), *(f"Blender {found['blender']}: {source(found)}" for found in files)]
+
+
+def blender_files(files: list[dict]) -> list[str]:
+    head = ["exported as", "quads kept", "order of vertices kept", "taken as a pose"]
+    rows = [
+        [row["way"], *("yes" if row[key] else "**no**" for key in ("quads", "order", "fits"))]
+        for found in files
+        for row in found["rows"]
+    ]
+    return [table(head, rows), *(f"Blender {found['blender']}: {source(found)}" for found in files)]
+
+
 # Pages
 
 #: Of each page: names of its blocks, the files that each is made of, and by what.
@@ -294,6 +323,10 @@ PAGES = {
         "light": ("splats_truth*.json", splats.light),
         "backward": ("splats_truth*.json", splats.backward),
         "sources": ("splats_truth*.json", lambda files: dict.fromkeys(map(source, files))),
+    },
+    "blender": {
+        "quads": ("blender_quads*.json", blender_quads),
+        "files of quads": ("blender_files.json", blender_files),
     },
     "captures": {"captures": ("captures*.json", captures)},
     "trends": {"trends": ("trend*.json", trends)},

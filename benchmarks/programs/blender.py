@@ -115,12 +115,9 @@ def preview(args) -> None:
         upright = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
         (folder / "mesh.glb").write_bytes(write_glb(upright, np.asarray(mesh.faces, np.int32), colors, name="mesh"))
         cage.save(folder / "cage.obj")  # which keeps polygons, and the order of vertices
-        np.savez(folder / "pose.npz", posed=posed.vertices, view=camera.camera_to_world, fov=38.0, size=args.size)
-        done = subprocess.run(
-            [args.blender, str(HERE), "blender", "preview", "--blender-part", temporary], capture_output=True, text=True
-        )
-        if not (folder / "moved.npz").exists():
-            raise SystemExit(f"Blender failed:\n{(done.stdout + done.stderr)[-2000:]}")
+        view = {"view": camera.camera_to_world, "fov": 38.0, "size": args.size}
+        np.savez(folder / "pose.npz", posed=posed.vertices, precisions=PRECISIONS, **view)
+        run_in_blender(args.blender, "blender preview", folder, "moved.npz")
         found = dict(np.load(folder / "moved.npz"))
         picture = read_image(folder / "blender.png")
     picture = picture[..., :3] * picture[..., 3:] + 1.0 - picture[..., 3:]  # on white
@@ -161,6 +158,14 @@ def preview(args) -> None:
         (out / "figures.json").write_text(json.dumps(figures, indent=1) + "\n")
 
 
+def run_in_blender(blender: str, command: str, folder: pathlib.Path, result: str) -> None:
+    """The part of a command that needs bpy, by Blender's Python; it writes the file `result`."""
+    asked = [blender, str(HERE), *command.split(), "--blender-part", str(folder)]
+    done = subprocess.run(asked, capture_output=True, text=True)
+    if not (folder / result).exists():
+        raise SystemExit(f"Blender failed:\n{(done.stdout + done.stderr)[-2000:]}")
+
+
 def shares(errors: np.ndarray, size: float) -> tuple[float, float, float]:
     """Median, 95th percentile and largest length of errors (n, 3), as shares of a size."""
     lengths = np.linalg.norm(errors, axis=1) / size
@@ -168,9 +173,9 @@ def shares(errors: np.ndarray, size: float) -> tuple[float, float, float]:
 
 
 def blender_part(folder: pathlib.Path) -> None:
-    """What an artist does in Blender, by script: import, bind, pose; and a picture. Needs bpy and NumPy alone."""
+    """What an artist does in Blender, by script: import, bind, pose; and a picture where there is a view of it.
+    Needs bpy and NumPy alone."""
     import bpy
-    from mathutils import Matrix
 
     given = np.load(folder / "pose.npz")
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -185,7 +190,7 @@ def blender_part(folder: pathlib.Path) -> None:
     modifier = mesh.modifiers.new("preview", "MESH_DEFORM")
     modifier.object = cage
     bpy.context.view_layer.objects.active = mesh
-    for precision in PRECISIONS:
+    for precision in given["precisions"].tolist():
         if modifier.is_bound:
             bpy.ops.object.meshdeform_bind(modifier=modifier.name)  # unbinds
         cage.data.vertices.foreach_set("co", rest.reshape(-1))
@@ -204,8 +209,18 @@ def blender_part(folder: pathlib.Path) -> None:
         world = np.array(mesh.matrix_world)
         moved[f"moved_{precision}"] = places.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3]
 
+    if "view" in given:
+        write_picture(bpy.context.scene, cage, given, folder / "blender.png")
+    np.savez(folder / "moved.npz", version=bpy.app.version_string, **moved)
+
+
+def write_picture(scene, cage, given, path: pathlib.Path) -> None:
+    """Blender's picture of all but the cage, from the view of pose.npz."""
+    import bpy
+    from mathutils import Matrix
+
     bpy.ops.preferences.addon_enable(module="cycles")
-    scene, size = bpy.context.scene, int(given["size"])
+    size = int(given["size"])
     eye = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.collection.objects.link(eye)
     eye.matrix_world = Matrix((given["view"] @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist())  # Blender looks along -z
@@ -219,9 +234,8 @@ def blender_part(folder: pathlib.Path) -> None:
     scene.render.film_transparent = True
     scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGBA"
     scene.view_settings.view_transform = "Standard"  # colors as they were captured
-    scene.render.filepath = str(folder / "blender.png")
+    scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True)
-    np.savez(folder / "moved.npz", version=bpy.app.version_string, **moved)
 
 
 # Cages there and back
