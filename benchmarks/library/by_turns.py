@@ -48,7 +48,9 @@ def main(args) -> int:
     if args.worker:
         work(args)
         return 0
-    rows, workers = [], {"this": started(HERE.parent, args), "other": started(pathlib.Path(args.other).resolve(), args)}
+    options = ["--field", args.field, "--cage", args.cage, "--size", args.size, "--resolution", args.resolution]
+    trees = {"this": HERE.parent, "other": pathlib.Path(args.other)}
+    rows, workers = [], {name: started(tree, "by-turns", "--worker", *options) for name, tree in trees.items()}
     for what in ask(workers["this"], "list"):
         pictures = {name: ask(worker, f"show {what}") for name, worker in workers.items()}
         seconds = {name: [] for name in workers}
@@ -84,12 +86,12 @@ def revision_of(checkout: pathlib.Path) -> str:
     return subprocess.run(arguments, capture_output=True, text=True).stdout.strip() or checkout.resolve().name
 
 
-def started(checkout: pathlib.Path, args):
-    """A process that renders with a checkout."""
-    options = ["--field", args.field, "--cage", args.cage, "--size", str(args.size)]
-    arguments = [*BENCHMARKS, "by-turns", "--worker", *options, "--resolution", str(args.resolution)]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(checkout), os.environ.get("PYTHONPATH", "")])}
-    return subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+def started(checkout: pathlib.Path, *arguments) -> subprocess.Popen:
+    """A command that answers questions, in a process of its own with the library of a checkout."""
+    paths = [str(checkout.resolve()), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    command = [*BENCHMARKS, *map(str, arguments)]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
 
 
 def ask(worker, question: str):

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import argparse
+import itertools
+import json
 import pathlib
+import statistics
+import sys
+import tempfile
 import time
 
 import numpy as np
-from common import JSON, KINDS, command, option, write_results
+from common import HERE, JSON, KINDS, command, option, write_results
+from library.by_turns import ask, revision_of, started
+from shapes import SHAPES, Shape, gap_points, grown, shape_of, topology
 
 import warpcage
 from warpcage.cage import check_pose, face_samples, grid_points
@@ -134,6 +142,225 @@ def line(row: dict) -> str:
         f"{row['parts']:6d}{100 * row['enclosed']:9.3f}%{row['gap_voxels']:6.2f}{row['hull_ratio']:7.2f}"
         f"{even:>12}{row['sides']:7.1f}{row['sharp']:7.2f}{row['crossings']:10d}{same:>6}{row['seconds']:7.1f}{row['cpu_seconds']:7.1f}"
     )
+
+
+# Shapes of many kinds
+
+
+@command(
+    option("--shapes", nargs="*", choices=list(SHAPES), default=list(SHAPES), metavar="SHAPE", help="(default: all)"),
+    option("--field", nargs="+", metavar="FIELD", default=[], help="field files, voxels or splats, behind the shapes"),
+    option("--counts", nargs="+", type=int, default=[100], help="vertices (default: 100)"),
+    option("--detail", nargs="+", metavar="DETAIL", help="values of `detail`, a cage each"),
+    option("--faces", nargs="+", metavar="FACES", help="values of `faces`, a cage each"),
+    option("--method", help="shell, voxel or auto"),
+    option("--symmetry", help="x, y or z"),
+    option(
+        "--tree", type=pathlib.Path, help="another checkout, which makes cages by turns with this one, by its defaults"
+    ),
+    option("--runs", type=int, default=3, help="times each cage is made (default: 3)"),
+    option("--out", metavar="DIR", help="folder for shapes.json, the cages, and shapes.png, to be looked at"),
+    option("--worker", action="store_true", help=argparse.SUPPRESS),
+)
+def shapes(args) -> int:
+    """Cages around shapes of many kinds: time, enclosure, tightness, holes, parts, gaps, the farthest vertex.
+
+        python benchmarks cages shapes --out out --field lego.npz house.npz tumbler.ply
+        python benchmarks cages shapes --out out --tree ../before --detail even parts --counts 42 100 200
+
+    Options that are given go to `Cage.from_mesh` and `Cage.from_field`, each combination in a row of its own. Enclosed:
+    share of the object's points (vertices, and 200,000 on faces; visible voxels) that are inside; hull, object: volume
+    of the cage over that of the object's convex hull, and of the object; parts, holes: of the cage, and of all within
+    the margin of the object, which is what any cage could keep; gaps: share of the space between parts of the object
+    nearer than a fifth of the size which the cage leaves out; far: largest distance of a vertex from the object, in
+    sides, sqrt(area / count), and over 1.75 margin + 1.5 sides. Seconds are medians of wall time, and of the
+    process's own. The exit status is 1 where a cage cannot be used, does not enclose, or crosses itself.
+    """
+    if args.worker:
+        make_cages()
+        return 0
+    given = {name: [value] for name in ("method", "symmetry") if (value := getattr(args, name)) is not None}
+    given |= {name: values for name in ("detail", "faces") if (values := getattr(args, name)) is not None}
+    ways = {"this": [dict(zip(given, chosen, strict=True)) for chosen in itertools.product(*given.values())]}
+    trees = {"this": HERE.parent} | ({"other": args.tree} if args.tree else {})
+    ways |= {"other": [{}]} if args.tree else {}
+    workers = {name: started(tree, "cages", "shapes", "--worker") for name, tree in trees.items()}
+    rows, panels = [], []
+    print(f"{'shape':10}{'tree':6}{'options':22}{'asked':>6}{'got':>5}{'s':>7}{'cpu s':>7}{'enclosed':>10}{'hull':>7}"
+          f"{'object':>8}{'parts':>7}{'holes':>7}{'gaps':>7}{'far':>12}")  # fmt: skip
+    with tempfile.TemporaryDirectory() as temporary:
+        objects = {name: (SHAPES[name], None) for name in args.shapes}
+        objects |= {pathlib.Path(path).stem: (None, pathlib.Path(path).resolve()) for path in args.field}
+        for name, (make, path) in objects.items():
+            shape = shape_of(name, make() if path is None else load_object(path))
+            path = path or save_object(shape, pathlib.Path(temporary))
+            kept = (topology(grown(shape, shape.need)), gap_points(shape, 0.2 * shape.size))
+            for count in args.counts:
+                made = cages_by_turns(workers, ways, path, count, args.runs)
+                for (tree, chosen), answers in made.items():
+                    rows.append(shape_row(shape, kept, tree, chosen, count, answers))
+                    print(shape_line(rows[-1]), flush=True)
+                    panels.append((shape, rows[-1], answers[-1]))
+                    if args.out and (cage := cage_of(answers[-1])) is not None:
+                        file = "_".join([name, str(count), tree, *chosen.replace("=", "_").split()])
+                        cage.save(pathlib.Path(args.out) / f"{file.replace(' ', '_')}.obj")
+    for worker in workers.values():
+        worker.stdin.close()
+        worker.wait()
+    if args.out:
+        write_results(
+            pathlib.Path(args.out) / "shapes.json",
+            "cpu",
+            **{name: revision_of(tree) for name, tree in trees.items()},
+            rows=rows,
+        )
+        draw_shapes(pathlib.Path(args.out) / "shapes.png", panels, len(args.counts) * sum(map(len, ways.values())))
+    bad = [f"{row['shape']} {row['tree']} {row['options']} {row['asked']}" for row in rows if not row["holds"]]
+    print(f"{len(rows) - len(bad)} of {len(rows)} hold" + (f"; not: {', '.join(bad)}" if bad else ""))
+    return 1 if bad else 0
+
+
+def load_object(path: pathlib.Path):
+    """A mesh of `save_object`, or a field of any kind."""
+    if path.suffix != ".npz":
+        return warpcage.SplatField.load(path, device="cpu")
+    with np.load(path) as held:
+        if "faces" not in held:
+            return warpcage.VoxelField.load(path, device="cpu")
+        import trimesh
+
+        return trimesh.Trimesh(held["vertices"], held["faces"], process=False)
+
+
+def save_object(shape: Shape, folder: pathlib.Path) -> pathlib.Path:
+    path = folder / f"{shape.name.replace(' ', '_')}.npz"
+    if isinstance(shape.thing, warpcage.VoxelField):
+        shape.thing.save(path)
+    else:
+        np.savez(path, vertices=shape.thing.vertices, faces=shape.thing.faces)
+    return path
+
+
+def cages_by_turns(workers: dict, ways: dict, path: pathlib.Path, count: int, runs: int) -> dict:
+    """Answers of each tree and its options, one a run, as `make_cages` gives them."""
+    made = {}
+    for _ in range(runs):
+        for tree, choices in ways.items():
+            for chosen in choices:
+                question = json.dumps({"path": str(path), "count": count, "options": chosen})
+                key = (tree, " ".join(f"{name}={value}" for name, value in chosen.items()))
+                made.setdefault(key, []).append(ask(workers[tree], question))
+    return made
+
+
+def make_cages() -> None:
+    """Answer questions for a cage with its vertices, faces and seconds, or why there is none."""
+    import warnings
+
+    warnings.simplefilter("ignore")
+    path, thing = None, None
+    for question in map(json.loads, sys.stdin):
+        if question["path"] != path:
+            path = question["path"]
+            thing = load_object(pathlib.Path(path))
+        make = warpcage.Cage.from_mesh if hasattr(thing, "faces") else warpcage.Cage.from_field
+        wall, cpu = time.perf_counter(), time.process_time()
+        try:
+            cage = make(thing, question["count"], **question["options"])
+        except (ValueError, TypeError) as error:
+            answer = {"error": str(error)}
+        else:
+            seconds = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
+            faces = cage.polygons if hasattr(cage, "polygons") else cage.faces.tolist()
+            answer = {"vertices": cage.vertices.tolist(), "faces": faces, **seconds}
+        print("answer " + json.dumps(answer), flush=True)
+
+
+def cage_of(answer: dict) -> warpcage.Cage | None:
+    return None if "error" in answer else warpcage.Cage(np.array(answer["vertices"]), answer["faces"])
+
+
+def shape_row(shape: Shape, kept, tree: str, chosen: str, count: int, answers: list[dict]) -> dict:
+    """The figures of a cage that was made a few times."""
+    from scipy.spatial import ConvexHull, KDTree
+
+    (parts, holes), gaps = kept
+    row = {"shape": shape.name, "tree": tree, "options": chosen, "asked": count, "object_parts": parts,
+           "object_holes": holes, "holds": False}  # fmt: skip
+    cage = cage_of(answers[-1])
+    if cage is None:
+        return row | {"error": answers[-1]["error"]}
+    report = cage.check()
+    corners = cage.surface.vertices[cage.surface.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    side = float(np.sqrt(area / len(cage.vertices)))
+    far = float(KDTree(shape.points).query(cage.vertices)[0].max())
+    enclosed = float(cage.contains(shape.points, device="cpu").mean())
+    crossings = len(report.intersecting_faces)
+    return row | {
+        "vertices": len(cage.vertices), "faces": cage.face_count,
+        **{key: statistics.median(answer[key] for answer in answers) for key in ("seconds", "cpu_seconds")},
+        "enclosed": enclosed, "hull_ratio": report.volume / ConvexHull(shape.points).volume,
+        "object_ratio": report.volume / shape.volume, "parts": report.part_count, "holes": report.genus,
+        "gaps_open": float(1.0 - cage.contains(gaps, device="cpu").mean()) if len(gaps) else None,
+        "far_sides": far / side, "far_bound": far / (1.75 * shape.need + 1.5 * side), "crossings": crossings,
+        "holds": report.usable and enclosed == 1.0 and not crossings,
+    }  # fmt: skip
+
+
+def shape_line(row: dict) -> str:
+    head = f"{row['shape']:10}{row['tree']:6}{row['options']:22}{row['asked']:6d}"
+    if "error" in row:
+        return f"{head}  {row['error'][:90]}"
+    gaps = "-" if row["gaps_open"] is None else f"{100 * row['gaps_open']:.0f}%"
+    parts, holes = (f"{row[key]}/{row['object_' + key]}" for key in ("parts", "holes"))
+    far = f"{row['far_sides']:.2f} {row['far_bound']:.2f}"
+    return (
+        f"{head}{row['vertices']:5d}{row['seconds']:7.2f}{row['cpu_seconds']:7.2f}{100 * row['enclosed']:9.3f}%"
+        f"{row['hull_ratio']:7.2f}{row['object_ratio']:8.2f}{parts:>7}{holes:>7}{gaps:>7}{far:>12}"
+        + ("" if row["holds"] else "  DOES NOT HOLD")
+    )
+
+
+def draw_shapes(path: pathlib.Path, panels: list, columns: int, size: int = 300) -> None:
+    """A sheet of the objects in their cages, a row for each shape."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    columns = columns if columns > 1 else 4
+    rows = -(-len(panels) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(3.0 * columns, 3.3 * rows), squeeze=False)
+    for axis in axes.flat:
+        axis.axis("off")
+    for axis, (shape, row, answer) in zip(axes.flat, panels, strict=False):
+        title = f"{row['shape']} {row['tree']} {row['options']} {row['asked']}"
+        cage = cage_of(answer)
+        if cage is None:
+            axis.set_title(f"{title}\n{row['error'][:40]}", fontsize=7)
+            continue
+        axis.imshow(picture_of(shape, cage, size))
+        holes = f"{row['parts']}/{row['object_parts']} parts, {row['holes']}/{row['object_holes']} holes"
+        axis.set_title(f"{title}\nhull {row['hull_ratio']:.2f}, {holes}, {row['seconds']:.1f} s", fontsize=7)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    print(f"wrote {path}")
+
+
+def picture_of(shape: Shape, cage, size: int) -> np.ndarray:
+    """The object with the cage drawn over it."""
+    from warpcage.demo import render_mesh_views
+
+    turns = {"start_degrees": -55.0, "elevation_degrees": 25.0}
+    camera = framing_orbit(cage.vertices, 1, width=size, height=size, **turns)[0]
+    if hasattr(shape.thing, "faces"):
+        colors = np.broadcast_to([0.62, 0.66, 0.70], np.shape(shape.thing.faces))
+        rgba = render_mesh_views(shape.thing.vertices, shape.thing.faces, colors, [camera], samples=2)[0]
+        picture = rgba[..., :3] * rgba[..., 3:] + 1.0 - rgba[..., 3:]
+    else:
+        picture = np.clip(shape.thing.render(camera, background="white").rgb, 0.0, 1.0)
+    return np.clip(draw_cage(picture, camera, cage), 0.0, 1.0)
 
 
 # Random poses
