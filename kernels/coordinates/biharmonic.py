@@ -331,9 +331,8 @@ def fill_equations(
     unknown: wp.array2d(dtype=wp.float64),
     winding: wp.array(dtype=wp.float64),
 ):
-    """What a map is at the middles of faces, seen from inside, and then its slopes there along the normals: known
-    (2 f, v + f) times f of vertices and d of faces, and unknown (2 f, 2 f) times g and q. winding (f,): the sum of phi
-    there, one but where the cage passes through itself; zero where faces lie on each other. One item per face."""
+    """Values at the middles of faces from inside, then slopes along normals, by what is given (v + f) and what is not
+    (2 f), and winding (f,): the sum of phi there, 0 where faces lie on each other."""
     i = first + wp.tid()
     count = faces.shape[0]
     corners = vertices.shape[0]
