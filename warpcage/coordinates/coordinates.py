@@ -447,7 +447,6 @@ def green_coordinates(
 
 
 @points_in_turn
-@device_by_name
 def biharmonic_coordinates(
     points: PointsLike, cage: ClosedMesh, *, device: wp.DeviceLike = None, outside: str = "raise"
 ) -> tuple[Any, Any]:
