@@ -11,7 +11,7 @@ from polygon_cages import quad_box, triangulated
 from refusals import refused
 from test_cage_generation import winding
 
-from warpcage import Cage, PoseFile
+from warpcage import Cage, NodeSelection, PoseFile
 from warpcage.cage import bending_of, nearest_mirror, paired, quad_weights
 
 make = trimesh.creation
@@ -137,7 +137,7 @@ def test_auto_takes_no_plane_where_there_is_none_or_a_shell_is_asked_for():
 
 
 def halves(cage):
-    """How many vertices are on each side of x = 0, and the mean length of edges there."""
+    """Of a cage about the origin: how many vertices are on each side of x = 0, and the mean length of edges there."""
     ends = cage.vertices[cage.edges]
     lengths, side = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), ends[:, :, 0].mean(axis=1)
     return (
@@ -159,6 +159,17 @@ def test_points_of_a_focus_get_more_vertices_at_the_same_count():
     assert 0.8 < counts[0] / counts[1] < 1.25
     for bad in ({"focus": np.zeros((0, 3))}, {"focus": points, "finer": 0.5}, {"focus": "arm"}):
         refused(lambda bad=bad: Cage.from_mesh(rod, 80, **bad))
+
+
+def test_selected_nodes_are_a_focus():
+    field = GridField(ball_densities(24))
+    mask = np.zeros((24, 24, 24), dtype=bool)
+    mask[14:] = True  # x above the middle
+    cage = Cage.from_field(field, 60, focus=NodeSelection(field, mask))
+    counts, _ = halves(cage)
+    assert counts[1] > 1.3 * counts[0] and cage.check(field=field).field_enclosed == 1.0
+    nothing = NodeSelection(field, np.zeros((24, 24, 24), dtype=bool))
+    refused(lambda: Cage.from_field(field, 60, focus=nothing), match="focus has no points")
 
 
 def test_a_cage_is_finer_where_a_pose_file_bends_another_one():

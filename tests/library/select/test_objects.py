@@ -61,10 +61,11 @@ def test_the_lamp_without_the_table(scene, way):
     assert any("above the ground plane" in note for note in chosen.notes)
 
 
+@pytest.mark.parametrize("faces", ["triangles", "quads"])
 @pytest.mark.parametrize("way", ["sphere"])
-def test_the_cage_holds_the_lamp_and_no_table(scene, way):
+def test_the_cage_holds_the_lamp_and_no_table(scene, way, faces):
     chosen = select_object(scene.field, **ways(scene)[way])
-    cage = Cage.from_field(chosen, 60)
+    cage = Cage.from_field(chosen, 60, faces=faces)
     inside = cage.contains(scene.cells)
     assert inside[chosen.mask.ravel()].all() and cage.check(field=chosen).usable
     lamp = scene.labels == LAMP

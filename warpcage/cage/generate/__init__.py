@@ -25,7 +25,7 @@ from .distance import ObjectShell, ObjectVoxels, bounds_of
 from .fit import cleared, face_samples, row_sums
 from .focus import focused
 from .mirror import nearest_mirror
-from .quads import quad_cage
+from .quads import cut_across, quad_cage
 from .shell import NOT_CLEAR, decimated, flaw, shell_cage, strays
 from .voxel import voxel_cage
 
@@ -275,6 +275,8 @@ def _cage_around_points(
             strayed[name] = strays(voxels, cage, relative)
             cage = cage.with_vertices(middle + size * cage.vertices)
             if floor is not None:
+                # patches at the rim would bend as it moves
+                cage = cut_across(cage, floor.heights(cage.vertices) < 0.0)
                 cage = cage.with_vertices(ended_at(floor, cage, middle + size * points, size * spacing))
         except ValueError as error:
             _log.info("%s: none (%s)", name, error)

@@ -116,6 +116,15 @@ def quad_weights(vertices: np.ndarray, quads: np.ndarray) -> np.ndarray:
     return weights
 
 
+def cut_across(cage: ClosedMesh, chosen: np.ndarray) -> ClosedMesh:
+    """The cage with the quads that have vertices on both sides, chosen ones and others by (v,) bool, as triangles."""
+    faces: list[tuple[int, ...]] = []
+    for face in cage.polygons:
+        whole = len(face) == 3 or len(set(chosen[list(face)].tolist())) == 1
+        faces += [face] if whole else [face[:3], (face[0], *face[2:])]
+    return ClosedMesh(cage.vertices, faces)
+
+
 def _left(faces: np.ndarray, quads: np.ndarray) -> list[list[int]]:
     """The triangles (f, 3) that no quad (q, 4) has taken."""
     taken = {frozenset(quad[k] for k in three) for quad in quads.tolist() for three in ((0, 1, 2), (0, 2, 3))}
