@@ -53,30 +53,10 @@ def frame_gradient(
     background: Any = None,
     step: float | None = None,
 ) -> FrameGradient:
-    """The gradient of a loss of a frame of a Deformer's last pose, by the derivatives of the loss by the frame.
-
-    The samples of the frame are held at their distances from the camera. Where the frame is not smooth, the gradient is
-    that of what is smooth beside it: it has no part of samples that enter or leave the cage in matter, of the kinks of
-    trilinear values, nor of the ends of marches, which see the last 1e-3 of the light or not.
-
-    Args:
-        deformer: Of a VoxelField, with one edit on a lattice that moves or copies, without falloff and fragments.
-        camera: The camera of the frame.
-        image_gradient: (h, w, 3) derivatives by the colours, an array of any library. None is zero.
-        alpha_gradient: (h, w) by the opacities. None is zero.
-        depth_gradient: (h, w) by the depths, world units; those of pixels without a depth do not count. None is zero.
-        by_vertices: Whether to return the gradient by the vertices of both cages, see `PositionMap.vertex_gradient`.
-        by_camera: Whether to return the gradient by the camera.
-        by_field: Whether to return the gradient by the field's densities and harmonics.
-        background: As for `Deformer.render`, what the loss saw.
-        step: March step of the frame, world units. None is the field's.
-
-    Returns:
-        The gradient.
-
-    Raises:
-        ValueError: For scenes and frames of other kinds, and arrays of another shape.
-    """
+    """The gradient of a loss of a frame of the last pose, by its derivatives (h, w, 3) or (h, w) by the frame's
+    parts, arrays of any library, None for zero; background, step: of the frame, as for `Deformer.render`."""
+    # Samples are held at their distances from the camera. Where the frame is not smooth, this is the gradient of what
+    # is smooth beside it: see Gradients in docs/arrays.md. Derivatives by depths count where a pixel has one.
     with deformer.lock:
         scene = _plain_scene(deformer)
         field = deformer.field
