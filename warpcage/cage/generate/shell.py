@@ -140,8 +140,9 @@ def say_closed(finest: ObjectShell, shell: ObjectShell, cage: ClosedMesh, progre
     filled = scipy.ndimage.map_coordinates(shell.closed, places.T, order=1, mode="nearest") <= 0.5 * need
     if filled.sum() > _FILLED * (finest.closed.size - len(free)):
         lost.append(f"gaps narrower than {200.0 * shell.reach / finest.voxels.size:.0f} % of the object's size")
-    if (before.genus or 0) > (after.genus or 0):
-        lost.append(f"{before.genus - (after.genus or 0)} of {before.genus} holes")
+    holes, kept = before.genus or 0, after.genus or 0
+    if holes > kept:
+        lost.append(f"{holes - kept} of {holes} holes")
     if before.part_count > after.part_count:
         lost.append(f"the space between {before.part_count} parts, of which it has {after.part_count}")
     if lost:
