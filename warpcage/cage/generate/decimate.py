@@ -50,9 +50,8 @@ _NONE, _COLLAPSE_WORK = float(INFINITE), 64
 def progressive_hull(
     vertices, faces, vertex_count: int, progress: bool | Progress = False, sizing: Sizing = None, apart: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) and faces (f, 3) of a closed manifold surface around the one given, with fewer vertices.
-    They are `vertex_count`, or more where no collapse is left; `sizing`: where they lie denser; `apart`: no faces may
-    pass through others, as across a narrow gap."""
+    """Vertices (v, 3) and faces (f, 3) of a closed manifold surface around the one given, with `vertex_count` vertices
+    or more where no collapse is left; `sizing`: where they lie denser; `apart`: no faces pass through others."""
     # Cheapest first (room, long edges, uneven faces). It stays manifold and outside the one before; faces do not fold.
     vertices, faces = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
     side = edge_length(vertices, faces, vertex_count, sizing)
