@@ -314,15 +314,7 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
     @overload
     def render(self, camera: Sequence[Camera], **options: Unpack[ViewKeywords]) -> Frames: ...
     @takes_options(PoseKeywords)
-    def render(
-        self,
-        camera: Camera | Sequence[Camera],
-        *,
-        outputs: str | Sequence[str] = (),
-        flow_pose: PoseLike | Sequence[PoseLike | None] | None = None,
-        flow_camera: Camera | Sequence[Camera] | None = None,
-        **options: Unpack[PoseKeywords],
-    ) -> Frame | Frames:
+    def render(self, camera: Camera | Sequence[Camera], **options: Unpack[ViewKeywords]) -> Frame | Frames:
         """The view of a camera of the deformed scene, with the masks reveal, fold and outside; or those of several.
 
         Args:
@@ -331,8 +323,8 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
                 "canonical", "flow", "instance".
             flow_pose: Pose to which "flow" goes, as `pose` takes them. None is the pose of the view.
             flow_camera: Camera to which "flow" goes, one for all views or one each. None is the camera of the view.
-            options: Options of the frame by keyword, see docs/python.md. A background model stays where it is however
-                the cages move, and shows where they clear.
+            options: These, and options of the frame by keyword, see docs/python.md. A background model stays where it
+                is however the cages move, and shows where they clear.
 
         Returns:
             The frame, its arrays on the device; the Frames of several cameras, in one allocation there.
@@ -344,8 +336,7 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
                 known, and flow without `flow_pose` or `flow_camera`.
         """
         with self.lock:
-            posed = PosedDeformer(self, self._posed_cages())
-            return posed.render(camera, outputs=outputs, flow_pose=flow_pose, flow_camera=flow_camera, **options)  # pyright: ignore[reportCallIssue, reportArgumentType]
+            return PosedDeformer(self, self._posed_cages()).render(camera, **options)
 
     def _render(self, camera: Camera, options: RenderOptions) -> Frame:
         """As that of a PosedDeformer."""

@@ -130,22 +130,15 @@ def render_options(options: Mapping[str, Any], keywords: type) -> RenderOptions:
 
 
 def takes_options(keywords: type) -> Callable[[Decorated], Decorated]:
-    """Decorates a method with these keywords: its signature has them, and its docstring, behind `options`, what each
-    of them does."""
-    known, options = keywords.__annotations__, options_of(RenderOptions)
-    texts = [f"    {name}: {each.help}" for name, each in options.items() if name in known]
+    """Decorates a method with these keywords: adds what each of them does to its docstring, behind `options`."""
+    known, options = keywords.__annotations__, options_of(RenderOptions).items()
+    texts = [f"    {name}: {each.help}" for name, each in options if name in known]
     lines = "".join("\n" + textwrap.fill(text, 108, subsequent_indent=8 * " ") for text in texts)
 
     def decorate(method: Any) -> Any:
         if method.__doc__ is not None:  # as it is with `python -OO`
             entry = re.compile(r"\n    options: .*(\n {8}.*)*")
             method.__doc__ = entry.sub(lambda found: found[0] + lines, inspect.cleandoc(method.__doc__))
-        signature = inspect.signature(method)
-        *parameters, _ = signature.parameters.values()  # the last is **options
-        for name, kind in known.items():
-            more = {"default": getattr(DEFAULT_OPTIONS, name), "annotation": getattr(kind, "__forward_arg__", kind)}
-            parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, **more))
-        method.__signature__ = signature.replace(parameters=parameters)
         return method
 
     return decorate
