@@ -1,4 +1,4 @@
-"""The way back from points that a map on a lattice moves, to its nodes and to the points."""
+"""The backward pass from points that a map on a lattice moves, to its nodes and to the points."""
 
 import warp as wp
 

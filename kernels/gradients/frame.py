@@ -41,7 +41,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 forward_only = forward_only_in(__name__, (float, wp.vec3))
 
-#: Samples of a ray that are kept on its way; of one with more, runs of as many are looked for again on the way back.
+#: Samples of a ray that are kept on its way; of one with more, runs of as many are looked for again in the backward pass.
 MAX_KEPT = wp.constant(48)
 
 kept_numbers = wp.types.vector(length=48, dtype=wp.float32)
@@ -446,7 +446,7 @@ def accumulate_frame_gradient(
                 by_color,
             )
             value = held[11] + t * by_depth
-            # that a march ends sooner or later moves what it leaves to and fro, while the light ends in matter
+            # that a march ends sooner or later moves what it leaves back and forth, while the light ends in matter
             later += left_over * value
             left_over = 0.0
             by_optical = lights[slot] * kept * value - later

@@ -78,7 +78,9 @@ def frame_gradient(
         sums.add(view, [*inputs, wp.vec3(*map(float, view.color)), options, loss])
         found = sums.gradient()
         if by_vertices:
-            posed, rest = scene.lattices.maps[0].vertex_gradient(found.nodes)
+            position_map = scene.lattices.maps[0]
+            assert position_map is not None  # as the edit is no removal
+            posed, rest = position_map.vertex_gradient(found.nodes)
             found = dataclasses.replace(found, vertices=posed, rest_vertices=rest)
         return found
 

@@ -118,7 +118,7 @@ class ClosedFormSolver(MapSolver):
         self.gaps.search(self.lattice, self.nodes.levels, self.rows, sections, values)
 
     def launch_adjoint(self, sums: CornerSums, targets: wp.array, slopes: wp.array, by_crossings: WarpStruct) -> None:
-        """Launch the way back through the formula; see MapSolver."""
+        """Launch the backward pass through the formula; see MapSolver."""
         sections, levels = self.sizes.lists, self.nodes.levels
         for axis in reversed(range(3)):
             self._launch(hand_on_interpolation, sections.finest_inside, [axis, levels], [slopes])
@@ -179,14 +179,14 @@ class VertexWeightSolver(ClosedFormSolver):
         self.lattice.side.join()
 
     def launch_adjoint(self, sums: CornerSums, targets: wp.array, slopes: wp.array, by_crossings: WarpStruct) -> None:
-        """Launch the way back through the formula and from crossings; see MapSolver. Corrections are held."""
+        """Launch the backward pass through the formula and from crossings; see MapSolver. Corrections are held."""
         super().launch_adjoint(sums, targets, slopes, by_crossings)
         self._sum_crossings(sums, targets, empty_array(0, wp.vec3, self.device), by_crossings)
 
     def launch_formula_adjoint(
         self, sums: CornerSums, targets: wp.array, points: wp.array, by_positions: wp.array
     ) -> None:
-        """Launch the way back through mean value coordinates; see ClosedFormSolver."""
+        """Launch the backward pass through mean value coordinates; see ClosedFormSolver."""
         sums.add_mean_value(points, by_positions, self._vertices, targets, self._size)
 
     def _describe(self, sections: NodeSections) -> None:
@@ -283,7 +283,7 @@ class GreenSolver(ClosedFormSolver):
     def launch_formula_adjoint(
         self, sums: CornerSums, targets: wp.array, points: wp.array, by_positions: wp.array
     ) -> None:
-        """Launch the way back through Green coordinates and stretched normals; see ClosedFormSolver."""
+        """Launch the backward pass through Green coordinates and stretched normals; see ClosedFormSolver."""
         assert self._rest is not None
         lattice = self.lattice
         normals = lattice.spacing * stretched_normals(lattice.cage, StretchTarget.of(self._rest)).T

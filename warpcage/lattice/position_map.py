@@ -323,7 +323,7 @@ class PositionMap(HeldOnDevice):
 
         Raises:
             ValueError: Without a pose, for slopes of another shape, type or device, and for coordinates without an
-                adjoint (maximum likelihood).
+                adjoint (maximum likelihood, biharmonic).
         """
         with self.lock:
             launches, lattice = self._posed()
@@ -336,7 +336,7 @@ class PositionMap(HeldOnDevice):
                 self._sums = CornerSums(lattice.cage, self.device)
             self._sums.clear()
             targets = wp.array(self._surface.vertices - self.origin, dtype=wp.vec3, device=self.device)
-            launches.solver.go_back(by_positions.flatten(), launches.target, targets, self._sums)
+            launches.solver.backward(by_positions.flatten(), launches.target, targets, self._sums)
             return self._sums.gathered((1.0 / lattice.spacing, 1.0))
 
     @property

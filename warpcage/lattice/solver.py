@@ -42,7 +42,7 @@ class MapSolver(HeldOnDevice, ABC):
         self.status = wp.zeros(2, dtype=wp.float32, device=self.device)  # on the device: cycles and residual
         self.cycles, self.residual = 0, 0.0  # multigrid cycles (0: closed form), remainder as a share of the rest size
         self._values: Buffer = lattice.buffers.buffer(wp.vec3)
-        self.slopes = BufferPool(self.device)  # what a way back takes, empty until there is one
+        self.slopes = BufferPool(self.device)  # what a backward pass takes, empty until there is one
         self._slopes, self._by_values = self.slopes.buffer(wp.vec3), self.slopes.buffer(wp.vec3)
         self._by_fractions = self.slopes.buffer(wp.float32)
 
@@ -118,7 +118,7 @@ class MapSolver(HeldOnDevice, ABC):
         weights."""
         return (target.vertex_values,)
 
-    def go_back(self, by_positions: wp.array, target: MapTarget, targets: wp.array, sums: CornerSums) -> None:
+    def backward(self, by_positions: wp.array, target: MapTarget, targets: wp.array, sums: CornerSums) -> None:
         """Launch what adds to `sums` the slopes of a number by corners of the posed cage, node units, and of the rest
         cage, from those by the positions of the last map, (nodes,) vec3; targets: (v,) vec3, the rest cage."""
         sizes, levels = self.sizes, self.nodes.levels
@@ -141,7 +141,7 @@ class MapSolver(HeldOnDevice, ABC):
 
     @abstractmethod
     def launch_adjoint(self, sums: CornerSums, targets: wp.array, slopes: wp.array, by_crossings: WarpStruct) -> None:
-        """Launch the part of `go_back` that begins at inside nodes, with `slopes` (nodes of all levels,) vec3 there,
+        """Launch the part of `backward` that begins at inside nodes, with `slopes` (nodes of all levels,) vec3 there,
         which may change, and at crossings."""
 
     def _sum_crossings(self, sums: CornerSums, targets: wp.array, adjoint: wp.array, by_crossings: WarpStruct) -> None:
