@@ -1,4 +1,4 @@
-"""The backward pass from the nodes of a map to those that it is evaluated or solved at, and to crossings of the cage."""
+"""The backward pass from the nodes of a map to those that it is evaluated or solved at, and to where links cross."""
 
 # The transpose of what fills a lattice: rings 2, 1 and 0 (../lattice/rings.py), then the nodes that are interpolated
 # (../lattice/closed_form.py). `slopes` (nodes,) vec3 are dL / d value of each node, L being what is asked about; each

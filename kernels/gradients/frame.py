@@ -41,7 +41,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 forward_only = forward_only_in(__name__, (float, wp.vec3))
 
-#: Samples of a ray that are kept on its way; of one with more, runs of as many are looked for again in the backward pass.
+#: Samples of a ray that are kept on its way; of one with more, the backward pass looks for runs of as many again.
 MAX_KEPT = wp.constant(48)
 
 kept_numbers = wp.types.vector(length=48, dtype=wp.float32)
