@@ -154,7 +154,12 @@ COORDINATE_KINDS: dict[str, CoordinateKind] = {
             help="keeps shapes, ends at the cage",
             move_points="coordinates.coordinates:move_in_closed_form",
             solver="lattice.closed_form:BiharmonicSolver",
-            modules=("kernels.lattice.closed_form", "kernels.mesh.fans", "kernels.lattice.cut_rows"),
+            modules=(
+                "kernels.lattice.closed_form",
+                "kernels.mesh.fans",
+                "kernels.lattice.cut_rows",
+                "kernels.coordinates.biharmonic",
+            ),
             map_points="kernels.coordinates.biharmonic:map_biharmonic",
             map_nodes="kernels.lattice.closed_form:map_nodes_biharmonic",
             map_crossings="kernels.lattice.closed_form:map_crossings_biharmonic",

@@ -294,7 +294,7 @@ def move_in_closed_form(
     if kind.has_face_weights:
         face_values = stretched_normals(rest, deformed)[rest.topology.fans.order]
         if kind.face_layers > 1:
-            face_values = LayerEquations(rest, rest.topology.fans.faces, 1.0).solve(targets, face_values)
+            face_values = LayerEquations(rest, rest.topology.fans.faces, 1.0, device).solve(targets, face_values)
         inputs.append(wp.array(face_values.astype(np.float32), dtype=wp.vec3, device=device))
         outputs.append(local.bad[2:])
     launch(kind.load(field), local.count, [*inputs, 1.0], outputs, device=device, work=len(rest.faces))

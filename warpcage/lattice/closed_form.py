@@ -42,7 +42,9 @@ _WITHOUT = "where the posed cage passes through itself, is inside out or a hundr
 def weight_operator(kind: CoordinateKind, cage: ClosedMesh, faces: wp.array, size: float) -> Any:
     """The operator (see `merge_rows`) from what kernels weigh, of the vertices of a surface and layers of faces, to the
     vertices of the mesh that it is of and one weight a face; None where these are the same. size: in the kernels."""
-    return LayerEquations(cage, faces.numpy(), size).row_operator() if kind.face_layers > 1 else cage.operator
+    if kind.face_layers <= 1:
+        return cage.operator
+    return LayerEquations(cage, faces.numpy(), size, faces.device).row_operator()
 
 
 def closed_form_weights(
@@ -315,7 +317,7 @@ class BiharmonicSolver(GreenSolver):
         lattice, posed = self.lattice, self.lattice.cage
         stretched = stretched_normals(posed, StretchTarget.of(rest)) - matrix @ StretchTarget.of(posed).normals
         slopes = stretched.T[posed.topology.fans.order] * (lattice.spacing / rest.size)
-        equations = LayerEquations(posed, posed.topology.fans.faces, posed.size / lattice.spacing)
+        equations = LayerEquations(posed, posed.topology.fans.faces, posed.size / lattice.spacing, self.device)
         try:
             found = equations.solve(lattice.map_constants.vertex_values.host, slopes)
         except InputError:  # of a pose that is not usable, as the caller says once the device is done

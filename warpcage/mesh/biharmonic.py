@@ -30,15 +30,13 @@ def require_few_faces(count: int) -> None:
 class LayerEquations:
     """The equations of Laplacians and their slopes on faces; see kernels/coordinates/biharmonic.py."""
 
-    # They are filled and solved on the host in float64 whatever the device is: 0.01 s at 200 triangles, while the
-    # device lays out the pose. Lengths are shares of the cage's size in here.
+    # The device fills them, the host solves them, both in float64. Lengths are shares of the cage's size in here.
 
-    def __init__(self, cage: ClosedMesh, faces: np.ndarray, size: float):
+    def __init__(self, cage: ClosedMesh, faces: np.ndarray, size: float, device: wp.Device):
         """faces: (f, 3) int32, in any order; size: of the cage, in the unit of slopes and layers outside of here."""
         self._faces, self._cage, self._size = faces, cage, size
         corners, count = len(cage.vertices), len(faces)
         require_few_faces(count)
-        device = wp.get_device("cpu")
         local = (cage.vertices - cage.bounds.mean(axis=0)) / cage.size
         vertices = wp.array(local, dtype=wp.vec3d, device=device)
         triangles = wp.array(faces, dtype=wp.vec3i, device=device)
