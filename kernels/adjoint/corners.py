@@ -11,7 +11,7 @@ import warp as wp
 from ..core.lanes import lane_place, sum_of_lanes
 from ..lattice.cut_rows import MIN_FRACTION, CutRows, crossing_value
 from ..lattice.nodes import NodeLevels, cut_section
-from .rings import CrossingSlopes
+from .ring_adjoint import CrossingSlopes
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

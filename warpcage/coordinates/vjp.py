@@ -13,8 +13,8 @@ from ..core.checks import shown
 from ..core.devices import launch
 from ..core.names import POINT_COORDINATES, coordinate_kind
 from ..errors import InputError
-from ..kernels.adjoint.green import slope_green_points
-from ..kernels.adjoint.mean_value import slope_mean_value_points
+from ..kernels.adjoint.green_adjoint import slope_green_points
+from ..kernels.adjoint.mean_value_adjoint import slope_mean_value_points
 from ..kernels.adjoint.points import hand_on_points
 from ..kernels.coordinates.local_points import scale_rows
 from ..lattice.corner_sums import CornerSums

@@ -14,7 +14,7 @@ from ..core.checks import warn_caller
 from ..core.devices import DEFAULT_WORK, launch
 from ..errors import InputError
 from ..kernels.adjoint.corners import gather_nodes
-from ..kernels.adjoint.rings import hand_on_interpolation
+from ..kernels.adjoint.ring_adjoint import hand_on_interpolation
 from ..kernels.coordinates.local_points import find_not_finite
 from ..kernels.lattice.cage_map import place_nodes
 from ..kernels.lattice.closed_form import interpolate_nodes, stretch_normals
@@ -44,7 +44,7 @@ def weight_operator(kind: CoordinateKind, cage: ClosedMesh, faces: wp.array, siz
     vertices of the mesh that it is of and one weight a face; None where these are the same. size: in the kernels."""
     if kind.face_layers <= 1:
         return cage.operator
-    return LayerEquations(cage, faces.numpy(), size, faces.device).row_operator()
+    return LayerEquations(cage, faces.numpy(), size, wp.get_device(str(faces.device))).row_operator()
 
 
 def closed_form_weights(

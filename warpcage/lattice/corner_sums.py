@@ -8,8 +8,8 @@ import warp as wp
 from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import lane_count, launch
 from ..kernels.adjoint.corners import gather_corners
-from ..kernels.adjoint.green import place_off_cage, slope_stretched_normals, sum_green_corners
-from ..kernels.adjoint.mean_value import PulledPoints, pull_positions, pull_weights, sum_mean_value_corners
+from ..kernels.adjoint.green_adjoint import place_off_cage, slope_stretched_normals, sum_green_corners
+from ..kernels.adjoint.mean_value_adjoint import PulledPoints, pull_positions, pull_weights, sum_mean_value_corners
 from ..mesh.mesh import ClosedMesh, prepared_fans
 
 #: Parts that points are cut into, each with sums of its own: on a CPU, which adds them up in the same order whatever

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -303,7 +304,7 @@ class PositionMap(HeldOnDevice):
             self._map_positions(launches)
         return self
 
-    def vertex_gradient(self, by_positions: wp.array) -> tuple[wp.array, wp.array]:
+    def vertex_gradient(self, by_positions: wp.array[Any, Any]) -> tuple[wp.array[Any, Any], wp.array[Any, Any]]:
         """The gradient of a number by the cages of the last pose, from that by the positions of the map's nodes.
 
         The lattice is held: nodes stay where they are while vertices move. That they go with the cage's box changes

@@ -11,7 +11,7 @@ from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import HeldOnDevice, launch
 from ..core.names import coordinate_kind
 from ..kernels.adjoint.corners import sum_crossings
-from ..kernels.adjoint.rings import CrossingSlopes, hand_on_ring, hand_on_through_cage
+from ..kernels.adjoint.ring_adjoint import CrossingSlopes, hand_on_ring, hand_on_through_cage
 from ..kernels.lattice.cage_map import apply_weights
 from ..kernels.lattice.cut_rows import CutRows
 from ..kernels.lattice.nodes import RINGS
