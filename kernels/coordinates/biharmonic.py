@@ -51,7 +51,6 @@ _ONE = wp.constant(wp.float64(1.0))
 _TWO = wp.constant(wp.float64(2.0))
 _THREE = wp.constant(wp.float64(3.0))
 _TWO_PI = wp.constant(wp.float64(6.283185307179586))
-_PI = wp.constant(wp.float64(3.141592653589793))
 _TOUCHING = wp.constant(wp.float64(1.0e-7))  # of faces, in sizes of the cage
 _TINY = wp.constant(wp.float64(1.0e-24))
 
@@ -322,6 +321,13 @@ def weigh_biharmonic(
             vertex_weights[n, face[k]] = vertex_weights[n, face[k]] + wp.float64(missing * nearest.nearest[k])
 
 
+@wp.func
+def least_share(layers: FaceLayers):
+    """The smallest barycentric coordinate of the foot of the place, below 0 beside the triangle."""
+    least = wp.min(wp.dot(layers.normal, layers.bc.cross), wp.dot(layers.normal, layers.ca.cross))
+    return wp.min(least, wp.dot(layers.normal, layers.ab.cross)) / layers.double_area
+
+
 @wp.kernel
 def fill_equations(
     first: int,
@@ -356,7 +362,7 @@ def fill_equations(
             layers.height = _ZERO
             layers.angle = _TWO_PI
             layers = with_layers(layers)
-        elif wp.abs(layers.angle) > _PI and wp.abs(layers.height) < _TOUCHING:
+        elif wp.abs(layers.height) < _TOUCHING and least_share(layers) > -_TOUCHING:
             is_alone = _ZERO
         total += _INVERSE_FOUR_PI * layers.angle
         bc = layers.bc
