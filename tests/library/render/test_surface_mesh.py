@@ -17,6 +17,7 @@ from refusals import refused
 
 import warpcage
 from warpcage import Cage, CageEdit, Deformer, Place, Stage, SurfaceMesh
+from warpcage.coordinates import stretched_normals
 from warpcage.mesh import write_glb, write_shown_mesh
 from warpcage.mesh.io.gltf import Texture
 from warpcage.render.surface_file import read_surface
@@ -375,6 +376,9 @@ def test_a_pose_moves_vertices_by_their_coordinates(kind, device):
         )
         normals *= (stretch / np.linalg.norm(normals, axis=1))[:, None]
         expected = weights @ posed.vertices + slopes @ normals  # Lipman et al. 2008, Eq. 3
+    elif kind == "biharmonic":
+        weights, slopes = warpcage.biharmonic_coordinates(mesh.vertices, BOX, device="cpu")
+        expected = weights @ posed.vertices + slopes @ stretched_normals(BOX, posed)
     else:
         weights = getattr(warpcage, f"{kind}_coordinates")(mesh.vertices, BOX, device="cpu")
         expected = weights @ posed.vertices

@@ -22,6 +22,7 @@ SMALLER = {
     "python.md": {
         "downscale=2": "downscale=1",
         "vertex_count=100": "40",
+        "field, 100, ": "field, 40, ",
         "(0.2, 0.1, 0.4)": "(-0.15, 0.1, 0.2)",
         "falloff=0.3": 'falloff=0.3, held="still"',  # a short fit has no solid matter that a wall could cut
     },
@@ -58,6 +59,7 @@ def folder(tmp_path_factory):
     cage.save(root / "cage.obj")
     warpcage.Cage.box((-0.9, -0.9, -0.9), (-0.1, 0.9, 0.9)).save(root / "arm.obj")
     warpcage.Cage.box((0.1, -0.9, -0.9), (0.9, 0.9, 0.9)).save(root / "cab.obj")
+    warpcage.PoseFile(cage, [("bent", cage.twist(20).vertices)]).save(root / "poses.json")
     np.save(root / "poses.npy", np.stack([cage.twist(degrees).vertices for degrees in (0, 10, 20)]))
     camera = warpcage.Camera.look_at((0, -4, 1), (0, 0, 0), width=32, height=24)
     warpcage.CameraFile([warpcage.CameraKey(camera)]).save(root / "cameras.json")
