@@ -180,7 +180,7 @@ class Shape:
     """An object, and what lies in it."""
 
     name: str
-    thing: object  # a trimesh.Trimesh, VoxelField or SplatField
+    object: object  # a trimesh.Trimesh, VoxelField or SplatField
     points: np.ndarray  # (n, 3) on the surface, or the visible nodes of a field
     need: float  # least distance from a cage to the points
     volume: float

@@ -234,10 +234,10 @@ def load_object(path: pathlib.Path):
 
 def save_object(shape: Shape, folder: pathlib.Path) -> pathlib.Path:
     path = folder / f"{shape.name.replace(' ', '_')}.npz"
-    if isinstance(shape.thing, warpcage.VoxelField):
-        shape.thing.save(path)
+    if isinstance(shape.object, warpcage.VoxelField):
+        shape.object.save(path)
     else:
-        np.savez(path, vertices=shape.thing.vertices, faces=shape.thing.faces)
+        np.savez(path, vertices=shape.object.vertices, faces=shape.object.faces)
     return path
 
 
@@ -258,15 +258,15 @@ def make_cages() -> None:
     import warnings
 
     warnings.simplefilter("ignore")
-    path, thing = None, None
+    path, scene_object = None, None
     for question in map(json.loads, sys.stdin):
         if question["path"] != path:
             path = question["path"]
-            thing = load_object(pathlib.Path(path))
-        make = warpcage.Cage.from_mesh if hasattr(thing, "faces") else warpcage.Cage.from_field
+            scene_object = load_object(pathlib.Path(path))
+        make = warpcage.Cage.from_mesh if hasattr(scene_object, "faces") else warpcage.Cage.from_field
         wall, cpu = time.perf_counter(), time.process_time()
         try:
-            cage = make(thing, question["count"], **question["options"])
+            cage = make(scene_object, question["count"], **question["options"])
         except (ValueError, TypeError) as error:
             answer = {"error": str(error)}
         else:
@@ -354,12 +354,12 @@ def picture_of(shape: Shape, cage, size: int) -> np.ndarray:
 
     turns = {"start_degrees": -55.0, "elevation_degrees": 25.0}
     camera = framing_orbit(cage.vertices, 1, width=size, height=size, **turns)[0]
-    if hasattr(shape.thing, "faces"):
-        colors = np.broadcast_to([0.62, 0.66, 0.70], np.shape(shape.thing.faces))
-        rgba = render_mesh_views(shape.thing.vertices, shape.thing.faces, colors, [camera], samples=2)[0]
+    if hasattr(shape.object, "faces"):
+        colors = np.broadcast_to([0.62, 0.66, 0.70], np.shape(shape.object.faces))
+        rgba = render_mesh_views(shape.object.vertices, shape.object.faces, colors, [camera], samples=2)[0]
         picture = rgba[..., :3] * rgba[..., 3:] + 1.0 - rgba[..., 3:]
     else:
-        picture = np.clip(shape.thing.render(camera, background="white").rgb, 0.0, 1.0)
+        picture = np.clip(shape.object.render(camera, background="white").rgb, 0.0, 1.0)
     return np.clip(draw_cage(picture, camera, cage), 0.0, 1.0)
 
 

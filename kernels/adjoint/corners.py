@@ -16,7 +16,7 @@ from .ring_adjoint import CrossingSlopes
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Links that lie in a face up to this, the sine of their angle, cross it as if at that angle.
-LEAST_SINE = wp.constant(1.0e-2)
+MIN_SINE = wp.constant(1.0e-2)
 
 
 @wp.func
@@ -33,7 +33,7 @@ def add_crossing(
     by_vertices: wp.array3d(dtype=wp.vec3),
     by_targets: wp.array3d(dtype=wp.vec3),
 ):
-    """Add what a crossing hands on to the corners of its face."""
+    """Add what a crossing passes on to the corners of its face."""
     f = rows.faces[row, direction]
     face = faces[f]
     share = rows.corners[row, direction]
@@ -48,7 +48,7 @@ def add_crossing(
     q = (along_u * wp.cross(v, normal) + along_v * wp.cross(normal, u)) / squared
     axis = direction / 2
     across = normal[axis]
-    least = LEAST_SINE * wp.sqrt(squared)
+    least = MIN_SINE * wp.sqrt(squared)
     if wp.abs(across) < least:
         across = wp.where(across < 0.0, -least, least)
     turn = q[axis] + wp.where(direction % 2 == 1, by_fraction, -by_fraction)
@@ -74,7 +74,7 @@ def sum_crossings(
     by_vertices: wp.array3d(dtype=wp.vec3),
     by_targets: wp.array3d(dtype=wp.vec3),
 ):
-    """Add to by_vertices, by_targets (parts, f, 3) what crossings of links hand on, `count` rows, `span` an item: as
+    """Add to by_vertices, by_targets (parts, f, 3) what crossings of links pass on, `count` rows, `span` an item: as
     many items as parts on a CPU, where parts must not be shared. vertices: node units."""
     # loads (nodes,) or (0,): the solution lambda of K lambda = dL / du for the symmetric matrix K of the rows of
     # cut_rows.py, with which dL = sum lambda (sum dg / theta - (g - u_0) dtheta / theta^2); positions: u.

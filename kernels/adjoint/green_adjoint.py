@@ -2,8 +2,8 @@
 
 # P = sum_i phi_i t_i + sum_f psi_f N_f, and L a number of which g = dL/dP is known at each point: dL is the sum over
 # faces of sum_i (g . t_i) dphi_i + (g . N_f) dpsi, of the corners of that face alone (coordinates/face_slopes.py).
-# Where there are rows (n, v) and face_rows (n, f), L is the sum of rows . phi + face_rows . psi. See mean_value.py for
-# who takes what.
+# Where there are rows (n, v) and face_rows (n, f), L is the sum of rows . phi + face_rows . psi. See
+# mean_value_adjoint.py for how points are shared out.
 
 import warp as wp
 

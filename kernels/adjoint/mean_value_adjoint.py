@@ -96,6 +96,19 @@ def turned_edge(b: wp.vec3, c: wp.vec3):
 
 
 @wp.func
+def corner_slope(p: wp.vec3, q: wp.vec3, r: wp.vec3, pq: TurnedEdge, rp: TurnedEdge, half: wp.vec3):
+    """By corner p, the first end of one edge and the second of another, of half . sum rho C over both."""
+    half_pq = wp.dot(half, pq.cross)
+    half_rp = wp.dot(half, rp.cross)
+    return (
+        wp.cross(pq.rho * q - rp.rho * r, half)
+        + (half_pq * pq.kappa * wp.dot(q, q) + half_rp * rp.kappa * wp.dot(r, r)) * p
+        + half_pq * (pq.mu - pq.kappa * pq.product) * q
+        + half_rp * (rp.mu - rp.kappa * rp.product) * r
+    )
+
+
+@wp.func
 def far_slopes(p: wp.vec3, q: wp.vec3, r: wp.vec3, det: float, cotangents: wp.vec3):
     """Of a face clear of the origin's plane."""
     bc = turned_edge(q, r)
@@ -107,40 +120,9 @@ def far_slopes(p: wp.vec3, q: wp.vec3, r: wp.vec3, det: float, cotangents: wp.ve
     result = CornerSlopes()
     result.weights = inverse * wp.vec3(wp.dot(bc.cross, mean), wp.dot(ca.cross, mean), wp.dot(ab.cross, mean))
     half = 0.5 * d
-    half_bc = wp.dot(half, bc.cross)
-    half_ca = wp.dot(half, ca.cross)
-    half_ab = wp.dot(half, ab.cross)
-    mix_bc = half_bc * (bc.mu - bc.kappa * bc.product)
-    mix_ca = half_ca * (ca.mu - ca.kappa * ca.product)
-    mix_ab = half_ab * (ab.mu - ab.kappa * ab.product)
-    # by p: first end of ab, second of ca; and so on
-    along = ab.rho * q - ca.rho * r
-    pp = wp.dot(p, p)
-    qq = wp.dot(q, q)
-    rr = wp.dot(r, r)
-    result.p = (
-        wp.cross(along, half)
-        + (half_ab * ab.kappa * qq + half_ca * ca.kappa * rr) * p
-        + mix_ab * q
-        + mix_ca * r
-        - result.weights[0] * d
-    )
-    along = bc.rho * r - ab.rho * p
-    result.q = (
-        wp.cross(along, half)
-        + (half_bc * bc.kappa * rr + half_ab * ab.kappa * pp) * q
-        + mix_bc * r
-        + mix_ab * p
-        - result.weights[1] * d
-    )
-    along = ca.rho * p - bc.rho * q
-    result.r = (
-        wp.cross(along, half)
-        + (half_ca * ca.kappa * pp + half_bc * bc.kappa * qq) * r
-        + mix_ca * p
-        + mix_bc * q
-        - result.weights[2] * d
-    )
+    result.p = corner_slope(p, q, r, ab, ca, half) - result.weights[0] * d
+    result.q = corner_slope(q, r, p, bc, ab, half) - result.weights[1] * d
+    result.r = corner_slope(r, p, q, ca, bc, half) - result.weights[2] * d
     return result
 
 

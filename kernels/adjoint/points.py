@@ -8,7 +8,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.kernel
-def hand_on_points(
+def propagate_points(
     first: int,
     cage_map: CageMap,
     points: wp.array(dtype=wp.vec3),
@@ -17,7 +17,7 @@ def hand_on_points(
     by_nodes: wp.array3d(dtype=wp.vec3),
 ):
     """From slopes (n,) by the positions of points (n,), those by the points, of the map's central differences over a
-    cell, and, added up, those by the positions of nodes. Sides of narrow gaps hand on to the nodes of their cell."""
+    cell, and, added up, those by the positions of nodes. Sides of narrow gaps pass on to the nodes of their cell."""
     # points outside of the lattice are not moved with it. Points share nodes: atomics on CUDA, one thread on a CPU
     n = first + wp.tid()
     x = points[n]

@@ -2,9 +2,9 @@
 
 # The transpose of what fills a lattice: rings 2, 1 and 0 (../lattice/rings.py), then the nodes that are interpolated
 # (../lattice/closed_form.py). `slopes` (nodes,) vec3 are dL / d value of each node, L being what is asked about; each
-# step hands on those of its own nodes to the nodes that their values came from. All of that is linear in the values.
+# step passes on those of its own nodes to the nodes that their values came from. All of that is linear in the values.
 # What the values depend on besides are crossings of links with the cage: the value g there, and how far away it is,
-# theta. Many ring nodes hand on to one node: atomics on CUDA, one thread on a CPU.
+# theta. Many ring nodes pass on to one node: atomics on CUDA, one thread on a CPU.
 
 import warp as wp
 
@@ -38,7 +38,7 @@ def known_counts(levels: NodeLevels, node: int, rings: int, towards: wp.vec3):
 
 
 @wp.func
-def hand_on_extrapolation(
+def propagate_extrapolation(
     levels: NodeLevels, node: int, rings: int, towards: wp.vec3, counts: wp.vec2i, slopes: wp.array(dtype=wp.vec3)
 ):
     """Transpose of the mean of 2 u_1 - u_2 over the directions that know both, else of u_1."""
@@ -57,7 +57,7 @@ def hand_on_extrapolation(
 
 
 @wp.kernel
-def hand_on_ring(
+def propagate_ring(
     first: int, ring: int, levels: NodeLevels, distance: wp.array(dtype=float), slopes: wp.array(dtype=wp.vec3)
 ):
     """Transpose of extend_outwards for a ring, which chooses as that does; distance (nodes,) signed. A ring node that
@@ -80,11 +80,11 @@ def hand_on_ring(
         if counts[0] == 0:
             towards = anywhere
             counts = known_counts(levels, node, rings, towards)
-    hand_on_extrapolation(levels, node, rings, towards, counts, slopes)
+    propagate_extrapolation(levels, node, rings, towards, counts, slopes)
 
 
 @wp.func
-def hand_on_beyond(
+def propagate_beyond(
     levels: NodeLevels,
     rows: CutRows,
     faces: wp.array(dtype=wp.vec3i),
@@ -130,7 +130,7 @@ def hand_on_beyond(
 
 
 @wp.kernel
-def hand_on_through_cage(
+def propagate_through_cage(
     first: int,
     levels: NodeLevels,
     rows: CutRows,
@@ -161,7 +161,7 @@ def hand_on_through_cage(
     if steady == 0:  # beside a tip of the cage
         counts = known_counts(levels, node, 0, anywhere)
     if counts[0] > 0:
-        hand_on_extrapolation(levels, node, 0, anywhere, counts, slopes)
+        propagate_extrapolation(levels, node, 0, anywhere, counts, slopes)
         return
     slope = slopes[node] / float(wp.max(wp.where(steady > 0, steady, other), 1))
     direction = int(0)
@@ -170,7 +170,7 @@ def hand_on_through_cage(
         row = levels.codes[inside]
         if row >= 0:
             if steady == 0 or is_steady(rows, row, direction ^ 1):
-                hand_on_beyond(
+                propagate_beyond(
                     levels,
                     rows,
                     faces,
@@ -194,7 +194,7 @@ def interpolation_axis(p: wp.vec3i):
 
 
 @wp.kernel
-def hand_on_interpolation(first: int, axis: int, levels: NodeLevels, slopes: wp.array(dtype=wp.vec3)):
+def propagate_interpolation(first: int, axis: int, levels: NodeLevels, slopes: wp.array(dtype=wp.vec3)):
     """Transpose of interpolate_nodes along an axis, the last one first: inside nodes even along it gather from the
     interpolated ones beside them. One item per inside node."""
     n = first + wp.tid()

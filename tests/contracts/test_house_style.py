@@ -5,6 +5,7 @@ import ast
 import gc
 import textwrap
 
+import docs_rules  # noqa: F401  (adds its rules)
 import golden_names
 import house_style
 import pytest

@@ -469,7 +469,7 @@ def biharmonic_coordinates(
 
     Returns:
         Vertex weights (n, v) and face weights (n, f), float32, arrays of the points' kind on their device; the latter
-        are lengths in world units.
+        are lengths in world units. Of quads f counts four triangles each, `cage.refined(1)`.
 
     Raises:
         ValueError: For points outside (with their number and the first of them), of another shape or not finite, for a

@@ -15,7 +15,7 @@ from ..core.names import POINT_COORDINATES, coordinate_kind
 from ..errors import InputError
 from ..kernels.adjoint.green_adjoint import slope_green_points
 from ..kernels.adjoint.mean_value_adjoint import slope_mean_value_points
-from ..kernels.adjoint.points import hand_on_points
+from ..kernels.adjoint.points import propagate_points
 from ..kernels.coordinates.local_points import scale_rows
 from ..lattice.corner_sums import CornerSums
 from ..mesh.match import posed_mesh
@@ -141,7 +141,7 @@ def _slopes_on_lattice(
     position_map, _ = posed_on_lattice(kind, local, rest, deformed)
     by_points, by_nodes = wp.zeros_like(local.points), wp.zeros_like(position_map.data.positions)
     inputs = [position_map.data, local.points, by_moved]
-    launch(hand_on_points, local.count, inputs, [by_points, by_nodes], device=local.device, threads=1)
+    launch(propagate_points, local.count, inputs, [by_points, by_nodes], device=local.device, threads=1)
     return PointSlopes(by_points, *position_map.vertex_gradient(by_nodes))
 
 

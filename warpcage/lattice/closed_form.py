@@ -14,7 +14,7 @@ from ..core.checks import warn_caller
 from ..core.devices import DEFAULT_WORK, launch
 from ..errors import InputError
 from ..kernels.adjoint.corners import gather_nodes
-from ..kernels.adjoint.ring_adjoint import hand_on_interpolation
+from ..kernels.adjoint.ring_adjoint import propagate_interpolation
 from ..kernels.coordinates.local_points import find_not_finite
 from ..kernels.lattice.cage_map import place_nodes
 from ..kernels.lattice.closed_form import interpolate_nodes, stretch_normals
@@ -44,7 +44,7 @@ def weight_operator(kind: CoordinateKind, cage: ClosedMesh, faces: wp.array, siz
     vertices of the mesh that it is of and one weight a face; None where these are the same. size: in the kernels."""
     if kind.face_layers <= 1:
         return cage.operator
-    return LayerEquations(cage, faces.numpy(), size, wp.get_device(str(faces.device))).row_operator()
+    return LayerEquations(cage, faces.numpy(), size, faces.device).row_operator()
 
 
 def closed_form_weights(
@@ -123,7 +123,7 @@ class ClosedFormSolver(MapSolver):
         """Launch the backward pass through the formula; see MapSolver."""
         sections, levels = self.sizes.lists, self.nodes.levels
         for axis in reversed(range(3)):
-            self._launch(hand_on_interpolation, sections.finest_inside, [axis, levels], [slopes])
+            self._launch(propagate_interpolation, sections.finest_inside, [axis, levels], [slopes])
         points, by_positions = (empty_array(sections.evaluated, wp.vec3, self.device) for _ in "pp")
         self._launch(place_nodes, points.size, [0, levels], [points])
         self._launch(gather_nodes, points.size, [levels, slopes], [by_positions])

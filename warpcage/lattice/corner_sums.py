@@ -47,7 +47,7 @@ class CornerSums:
         weights: wp.array | None = None,
     ) -> WarpStruct:
         """Add slopes of a number by a mean value map, from those by the positions (n,) vec3 of points (n,) vec3, in the
-        unit of the vertices (v,), or by weights (n, v) where they are given. Returns what the points hand on."""
+        unit of the vertices (v,), or by weights (n, v) where they are given. Returns what the points pass on."""
         pulled = PulledPoints()
         pulled.places, pulled.pulls, pulled.positions = (empty_array(points.size, wp.vec3, self.device) for _ in "ppp")
         pulled.totals = empty_array(points.size, wp.float32, self.device)

@@ -11,7 +11,7 @@ from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import HeldOnDevice, launch
 from ..core.names import coordinate_kind
 from ..kernels.adjoint.corners import sum_crossings
-from ..kernels.adjoint.ring_adjoint import CrossingSlopes, hand_on_ring, hand_on_through_cage
+from ..kernels.adjoint.ring_adjoint import CrossingSlopes, propagate_ring, propagate_through_cage
 from ..kernels.lattice.cage_map import apply_weights
 from ..kernels.lattice.cut_rows import CutRows
 from ..kernels.lattice.nodes import RINGS
@@ -132,11 +132,11 @@ class MapSolver(HeldOnDevice, ABC):
         by_crossings.fractions.zero_()
         for ring in reversed(range(int(not self.jumps_at_cage), RINGS)):
             inputs = [ring, levels, self.lattice.flat_distance]
-            launch(hand_on_ring, sections.ring(ring), inputs, [slopes], device=self.device, threads=1)
+            launch(propagate_ring, sections.ring(ring), inputs, [slopes], device=self.device, threads=1)
         if not self.jumps_at_cage:
             inputs = [levels, self.rows, self.lattice.faces, targets, self.values, self.corrections, target.rest.size]
             outputs = [slopes, by_crossings]
-            launch(hand_on_through_cage, sections.ring(0), inputs, outputs, device=self.device, threads=1)
+            launch(propagate_through_cage, sections.ring(0), inputs, outputs, device=self.device, threads=1)
         self.launch_adjoint(sums, targets, slopes, by_crossings)
 
     @abstractmethod
@@ -145,7 +145,7 @@ class MapSolver(HeldOnDevice, ABC):
         which may change, and at crossings."""
 
     def _sum_crossings(self, sums: CornerSums, targets: wp.array, adjoint: wp.array, by_crossings: WarpStruct) -> None:
-        """Launch what crossings of links hand on; adjoint: (nodes,) vec3 of the solution, or (0,)."""
+        """Launch what crossings of links pass on; adjoint: (nodes,) vec3 of the solution, or (0,)."""
         count = self.sizes.lists.cut
         span = -(-count // sums.parts) if self.device.is_cpu else 1
         cage = [self.lattice.vertices, self.lattice.faces, targets]

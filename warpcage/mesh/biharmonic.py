@@ -32,7 +32,7 @@ class LayerEquations:
 
     # The device fills them, the host solves them, both in float64. Lengths are shares of the cage's size in here.
 
-    def __init__(self, cage: ClosedMesh, faces: np.ndarray, size: float, device: wp.Device):
+    def __init__(self, cage: ClosedMesh, faces: np.ndarray, size: float, device: wp.DeviceLike):
         """faces: (f, 3) int32, in any order; size: of the cage, in the unit of slopes and layers outside of here."""
         self._faces, self._cage, self._size = faces, cage, size
         corners, count = len(cage.vertices), len(faces)

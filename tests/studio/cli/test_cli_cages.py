@@ -167,4 +167,6 @@ def test_cages_of_quads_with_a_focus_say_what_they_are_made_of(tmp_path, capsys)
     assert (finer > 0).sum() > (finer < 0).sum()
     assert main([*call, "--focus", str(tmp_path / "part.npz")]) == 2
     assert "is a selection, which is of a field" in capsys.readouterr().err
+    assert main([*call, "--finer", "3"]) == 2
+    assert "--finer says how much finer" in capsys.readouterr().err
     assert main([*call, "--box", "--faces", "quads"]) == 2

@@ -19,7 +19,7 @@ from .decimate import Sizing
 _NEAR, _GROWTH = 0.05, 0.15
 
 #: Least deviation from rigid that counts as bending, as a share of the edges about a vertex.
-_LEAST_BEND = 1e-3
+_MIN_BEND = 1e-3
 
 #: Vertices of the posed cage that a place takes its bending from.
 _NEIGHBORS = 4
@@ -85,7 +85,7 @@ def _bent(cages: Sequence[ClosedMesh]):
 
     rest, *poses = cages
     bending = np.max([bending_of(rest, pose) for pose in poses], axis=0)
-    if bending.max() < _LEAST_BEND:
+    if bending.max() < _MIN_BEND:
         raise InputError(
             f"focus bends nowhere: {counted(len(poses), 'pose')} of it {'move' if len(poses) > 1 else 'moves'} the "
             "whole cage alike"

@@ -12,7 +12,7 @@ from .distance import ObjectShell
 _TOUCH, _TOUCH_VOXELS = 1.25, 1.5
 
 #: Least edge as a share of the longest, and the power of the radius that edges follow.
-_LEAST, _POWER = 0.35, 0.7
+_MIN_SHARE, _POWER = 0.35, 0.7
 
 #: How fast edges may become longer along the surface.
 _GRADING = 0.5
@@ -25,7 +25,7 @@ def part_sizing(shell: ObjectShell, level: float, sizing: Sizing = None) -> Sizi
     x, faces = shell.surface(level, 2)
     radius = thickness(shell, x, level)
     size = radius**_POWER
-    size = np.maximum(size, _LEAST * size.max())
+    size = np.maximum(size, _MIN_SHARE * size.max())
     scale = size.max() / radius.max()
     # no faster than by a share of the way between: edges across a joint are those of the limb
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)

@@ -60,7 +60,7 @@ _LOOSE, STRAYS = "it could not be drawn close", "a vertex is far off the object"
 _FILLED = 0.05
 
 #: Least share of a way, beyond none, that vertices go whose faces would pass through others.
-_LEAST_WAY = 0.2
+_MIN_WAY = 0.2
 
 #: Mean sides of faces, beyond what `need` explains, that vertices may be off the object.
 _CORNER, _FARTHEST = 1.75, 1.5
@@ -224,7 +224,7 @@ def untangled(before, after, faces) -> np.ndarray:
         rows = np.unique(faces[pairs])
         if not share[rows].any():
             return vertices
-        share[rows] = np.where(share[rows] > _LEAST_WAY, 0.5 * share[rows], 0.0)
+        share[rows] = np.where(share[rows] > _MIN_WAY, 0.5 * share[rows], 0.0)
 
 
 def strays(voxels: ObjectVoxels, cage: ClosedMesh, sizing: Sizing = None) -> bool:

@@ -143,6 +143,8 @@ def _check_combination(args: argparse.Namespace) -> None:
     names = options.given(args, "method", "symmetry", "detail", "focus", "finer", "faces")
     if names and (args.box or args.cylinder):
         raise InputError(f"--{names[0]} is for a cage wrapped around the object")
+    if args.finer is not None and args.focus is None:
+        raise InputError("--finer says how much finer a cage is in its --focus: give one")
     if args.segments is not None and len(args.segments) not in (1, 3):
         raise InputError(f"--segments takes one number or three, got {len(args.segments)}")
 
