@@ -208,7 +208,7 @@ def found_sample(
                     value = edit.sides[found.side, corner]
                     position = wp.vec3(value[0], value[1], value[2])
                     place.position += corner_share(corner, f) * position
-                    place.slope += wp.dot(corner_ways(corner, f), rate) * position
+                    place.slope += wp.dot(corner_gradient(corner, f), rate) * position
             found.stretch = wp.length(place.slope)
     found.place = place
     if place.mapped == 1 and share == 1.0 and (at.look & CELL_STEEP) != 0 and found.stretch > CUT_LENGTH:
@@ -246,7 +246,7 @@ def optical_length(found: FoundSample, share: float, options: MarchOptions):
 
 
 @wp.func
-def corner_ways(corner: int, f: wp.vec3):
+def corner_gradient(corner: int, f: wp.vec3):
     """Derivatives of lattice/cage_map.corner_share by the place."""
     i = wp.where((corner & 4) != 0, 1.0, -1.0)
     j = wp.where((corner & 2) != 0, 1.0, -1.0)
@@ -269,7 +269,7 @@ def slope_at(edit: EditData, cells: wp.vec3, rate: wp.vec3):
 
 
 @wp.func
-def slope_ways(edit: EditData, cells: wp.vec3, rate: wp.vec3, by_slope: wp.vec3):
+def map_curvature(edit: EditData, cells: wp.vec3, rate: wp.vec3, by_slope: wp.vec3):
     """Derivatives by the place, in cells, of dot(slope_at, by_slope), over half a cell to each side."""
     # within a cell there is none of a cube's bend: it lies in the jumps between cells
     x = wp.vec3(0.5, 0.0, 0.0)
@@ -319,20 +319,20 @@ def add_place_slopes(
     moved = wp.vec3()
     turned = wp.vec3()
     for corner in range(8):
-        ways = corner_ways(corner, found.f)
+        gradient = corner_gradient(corner, found.f)
         node = node_of_corner(edit, at.n, corner)
         if slopes.nodes.shape[0] > 0:
             share = corner_share(corner, found.f)
-            wp.atomic_add(slopes.nodes, node, share * by_position + wp.dot(ways, rate) * by_slope)
+            wp.atomic_add(slopes.nodes, node, share * by_position + wp.dot(gradient, rate) * by_slope)
         if slopes.rays.shape[0] > 0:
             value = edit.nodes[node]
             if found.side >= 0:
                 value = edit.sides[found.side, corner]
             position = wp.vec3(value[0], value[1], value[2])
-            moved += wp.dot(position, by_position) * ways
-            turned += wp.dot(position, by_slope) * ways
+            moved += wp.dot(position, by_position) * gradient
+            turned += wp.dot(position, by_slope) * gradient
     if slopes.rays.shape[0] > 0:
-        moved += slope_ways(edit, edit.fine_width * at.fine, rate, by_slope)
+        moved += map_curvature(edit, edit.fine_width * at.fine, rate, by_slope)
     by_ray.origin += edit.inverse_spacing * moved
     by_ray.direction += edit.inverse_spacing * (t * moved + turned)
     return by_ray
@@ -455,7 +455,7 @@ def accumulate_frame_gradient(
             for corner in range(8):
                 if found.rows[corner] >= 0:
                     by_share = weight * held[corner] + by_optical * length * grid.density[found.rows[corner]]
-                    by_place += by_share * corner_ways(corner, found.offset)
+                    by_place += by_share * corner_gradient(corner, found.offset)
             by_slope = wp.vec3()
             if found.stretch > 1.0e-6:
                 by_along = weight * wp.vec3(held[8], held[9], held[10])
