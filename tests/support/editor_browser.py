@@ -45,6 +45,27 @@ return new Promise((done) => {
 });
 """
 
+#: From here on a press beside an element does nothing: the page moved between the look at it and the press.
+AIM = """
+const kinds = ["pointerdown", "mousedown", "pointerup", "mouseup", "click"], selector = arguments[0];
+const guard = (event) => {
+  if (event.type === "pointerdown") {
+    const found = document.querySelector(selector), hit = event.target;
+    aim.missed = !(found && (found.contains(hit) || hit.closest("label")?.contains(found)));
+  }
+  if (aim.missed) {
+    event.stopImmediatePropagation();
+    event.preventDefault();
+  }
+};
+const aim = { missed: false, end: () => kinds.forEach((kind) => removeEventListener(kind, guard, true)) };
+kinds.forEach((kind) => addEventListener(kind, guard, true));
+window.clickAim = aim;
+"""
+
+#: Whether that press missed.
+MISSED = "const aim = window.clickAim; delete window.clickAim; aim?.end(); return Boolean(aim?.missed);"
+
 
 def until(condition: Callable[[], Any], what: str, seconds: float = PATIENCE) -> Any:
     """Wait until a condition gives something true, and return it; fails with `what` where it never does."""
@@ -159,10 +180,13 @@ class Window:
 
         def look() -> Any:
             place = self.driver.execute_script(PLACE, selector)
-            return place if place and place["free"] else None
+            if not (place and place["free"]):
+                return False
+            self.driver.execute_script(AIM, selector)
+            self.drag([(place["x"], place["y"])])
+            return not self.driver.execute_script(MISSED)
 
-        place = until(look, f"{selector} can be clicked", 20.0)
-        self.drag([(place["x"], place["y"])])
+        until(look, f"{selector} can be clicked", 20.0)
 
     def confirm(self) -> None:
         """Confirm the dialog and wait until it is gone, which is when the server has answered."""
