@@ -41,6 +41,7 @@ class CoordinateKind:
     # numbers that each face has, of Green coordinates its normal; of three, the others follow (mesh/biharmonic.py)
     face_layers: int = 0
     is_iterative: bool = False  # there may be no solution at a point, which is NaN then
+    has_gradients: bool = True  # whether maps and moved points have a backward pass
     is_precise: bool = False  # also evaluated at every sample, without a lattice (kernels/edits/trace.py)
     extends: bool = False  # defined outside of the cage too
     face_cells: int = 1  # along each edge of a face of more than three corners, of the surface that it is solved on
@@ -166,6 +167,7 @@ COORDINATE_KINDS: dict[str, CoordinateKind] = {
             weigh_points="kernels.coordinates.biharmonic:weigh_biharmonic",
             bind_points="kernels.splats.bind:bind_biharmonic",
             face_layers=3,
+            has_gradients=False,
         ),
     )
 }

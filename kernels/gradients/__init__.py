@@ -1,1 +1,1 @@
-"""Kernels for gradients of frames of posed scenes."""
+"""Kernels for gradients of frames of posed scenes, and of the maps that pose them."""

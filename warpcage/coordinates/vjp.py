@@ -13,10 +13,11 @@ from ..core.checks import shown
 from ..core.devices import launch
 from ..core.names import POINT_COORDINATES, coordinate_kind
 from ..errors import InputError
-from ..kernels.adjoint.green_adjoint import slope_green_points
-from ..kernels.adjoint.mean_value_adjoint import slope_mean_value_points
-from ..kernels.adjoint.points import propagate_points
 from ..kernels.coordinates.local_points import scale_rows
+from ..kernels.gradients.green_adjoint import slope_green_points
+from ..kernels.gradients.maximum_likelihood_adjoint import slope_likely_points
+from ..kernels.gradients.mean_value_adjoint import slope_mean_value_points
+from ..kernels.gradients.points import propagate_points
 from ..lattice.corner_sums import CornerSums
 from ..mesh.match import posed_mesh
 from ..mesh.mesh import ClosedMesh
@@ -43,9 +44,9 @@ def deform_points_vjp(
     outside: str | None = None,
 ) -> PointSlopes:
     """Slopes of a number by all that `deform_points` takes, `deformed` too, from those (n, 3) by what it returns."""
-    # Exact, by formula, for mean value and Green; on a cage, where slopes jump, those 1e-4 of its size inside.
-    # Harmonic: of the map on its lattice as it lies (PositionMap.vertex_gradient). Rows that are NaN count for nothing.
-    # Raises as deform_points, for slopes of another shape, maximum likelihood, and mean value coordinates of quads.
+    # Exact, by formula, for mean value, Green and maximum likelihood; on a cage, where slopes jump, those 1e-4 of its
+    # size inside. Harmonic: of the map on its lattice as it lies (PositionMap.vertex_gradient). NaN counts for nothing.
+    # Raises as deform_points, for slopes of another shape, biharmonic, and mean value coordinates of quads.
     kind = _with_adjoint(coordinate_kind(coordinates), rest)
     local, lost, surface = checked_points(kind, points, rest, device, outside)
     target = posed_mesh(rest, deformed, "the deformed cage must be").refined(kind.face_cells)
@@ -67,6 +68,9 @@ def deform_points_vjp(
         places = sums.add_green(local.points, by_moved, vertices, targets, normals, 1.0)
         inputs = [places, by_moved, vertices, sums.faces, targets, normals, sums.no_rows, sums.no_rows]
         _launch(slope_green_points, local, sums, inputs, by_points)
+    elif kind.is_iterative:
+        likely = sums.add_maximum_likelihood(local.points, by_moved, vertices, targets, 1.0, sums.no_rows)
+        _launch(slope_likely_points, local, sums, [likely, vertices, sums.faces, targets, sums.no_rows, 1.0], by_points)
     else:
         pulled = sums.add_mean_value(local.points, by_moved, vertices, targets, 1.0)
         inputs = [pulled, vertices, sums.faces, targets, sums.no_rows, 1.0]
@@ -84,7 +88,7 @@ def coordinates_vjp(
     device: wp.DeviceLike = None,
     outside: str | None = None,
 ) -> PointSlopes:
-    """Slopes of a number by points and their cage, from those by mean value weights (n, v), or by Green weights, (n, v)
+    """Slopes of a number by points and their cage, from those by weights (n, v), or by Green weights, (n, v)
     and (n, f), float32 on the device."""
     # Rows that are NaN count for nothing. Raises as the functions of weights, for slopes of another shape, other kinds
     # of coordinates, and faces of more than three corners.
@@ -114,6 +118,9 @@ def coordinates_vjp(
         none = sums.no_vectors
         inputs = [places, none, vertices, sums.faces, none, none, *rows]
         _launch(slope_green_points, local, sums, inputs, by_points)
+    elif kind.is_iterative:
+        likely = sums.add_maximum_likelihood(local.points, sums.no_vectors, vertices, vertices, 1.0, rows[0])
+        _launch(slope_likely_points, local, sums, [likely, vertices, sums.faces, vertices, rows[0], 1.0], by_points)
     else:
         weights = empty_array(rows[0].shape, wp.float32, local.device)
         inputs = [local.points, vertices, sums.faces, 1.0]
@@ -127,7 +134,7 @@ def coordinates_vjp(
 
 def _with_adjoint(kind: CoordinateKind, cage: ClosedMesh) -> CoordinateKind:
     """The kind, which has slopes by the faces of this cage."""
-    if kind.is_closed_form and kind.adjoint is None:
+    if not kind.has_gradients:
         raise InputError(f"no gradient passes through {kind.name} coordinates: take others")
     if kind.map_quads is not None and cage.refined(kind.face_cells).quads is not None:
         raise InputError(f"no gradient passes through {kind.name} coordinates of quads: cut the faces into triangles")

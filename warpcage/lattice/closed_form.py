@@ -13,9 +13,9 @@ from ..core.arrays import WarpStruct, empty_array
 from ..core.checks import warn_caller
 from ..core.devices import DEFAULT_WORK, launch
 from ..errors import InputError
-from ..kernels.adjoint.corners import gather_nodes
-from ..kernels.adjoint.ring_adjoint import propagate_interpolation
 from ..kernels.coordinates.local_points import find_not_finite
+from ..kernels.gradients.corners import gather_nodes
+from ..kernels.gradients.ring_adjoint import propagate_interpolation
 from ..kernels.lattice.cage_map import place_nodes
 from ..kernels.lattice.closed_form import interpolate_nodes, stretch_normals
 from ..kernels.lattice.corrections import correct_values, measure_corrections
@@ -218,6 +218,12 @@ class IterativeSolver(VertexWeightSolver):
         """Launch what clears the values, the count of gaps and what is left, before a solution."""
         super().clear(sizes)
         self.status.zero_()
+
+    def launch_formula_adjoint(
+        self, sums: CornerSums, targets: wp.array, points: wp.array, by_positions: wp.array
+    ) -> None:
+        """Launch the backward pass through maximum likelihood coordinates; see ClosedFormSolver."""
+        sums.add_maximum_likelihood(points, by_positions, self._vertices, targets, self._size, sums.no_rows)
 
     def take_status(self, status: np.ndarray) -> None:
         """Note how a solution ended, and warn where there was none."""

@@ -7,9 +7,10 @@ import warp as wp
 
 from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import lane_count, launch
-from ..kernels.adjoint.corners import gather_corners
-from ..kernels.adjoint.green_adjoint import place_off_cage, slope_stretched_normals, sum_green_corners
-from ..kernels.adjoint.mean_value_adjoint import PulledPoints, pull_positions, pull_weights, sum_mean_value_corners
+from ..kernels.gradients.corners import gather_corners
+from ..kernels.gradients.green_adjoint import place_off_cage, slope_stretched_normals, sum_green_corners
+from ..kernels.gradients.maximum_likelihood_adjoint import LikelyPoints, pull_likely_points, sum_likely_corners
+from ..kernels.gradients.mean_value_adjoint import PulledPoints, pull_positions, pull_weights, sum_mean_value_corners
 from ..mesh.mesh import ClosedMesh, prepared_fans
 
 #: Parts that points are cut into, each with sums of its own: on a CPU, which adds them up in the same order whatever
@@ -63,6 +64,21 @@ class CornerSums:
         inputs = [pulled, vertices, self.faces, targets, rows, size]
         self._launch(sum_mean_value_corners, self._items, inputs, self.arrays)
         return pulled
+
+    def add_maximum_likelihood(
+        self, points: wp.array, slopes: wp.array, vertices: wp.array, targets: wp.array, size: float, rows: wp.array
+    ) -> WarpStruct:
+        """The same by maximum likelihood coordinates; rows: slopes by their weights (n, v), or (0, 0) for those by
+        positions."""
+        likely = LikelyPoints()
+        likely.places = self._places(points, slopes, vertices, size)
+        likely.pulls, likely.positions = (empty_array(points.size, wp.vec3, self.device) for _ in "pp")
+        likely.phis, likely.lambdas = (empty_array(points.size, wp.vec3d, self.device) for _ in "pl")
+        inputs = [slopes, rows, vertices, self.faces, targets, size]
+        self._launch(pull_likely_points, points.size, inputs, [likely])
+        inputs = [likely, vertices, self.faces, targets, rows, size]
+        self._launch(sum_likely_corners, self._items, inputs, self.arrays)
+        return likely
 
     def add_green(
         self, points: wp.array, slopes: wp.array, vertices: wp.array, targets: wp.array, normals: wp.array, size: float

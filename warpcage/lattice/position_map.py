@@ -311,8 +311,8 @@ class PositionMap(HeldOnDevice):
         nothing but the error of look-up. Where the map is not smooth the gradient is that of the branch the map is on:
         a node that a face passes over turns from the map to its continuation outside (they agree on the face), and a
         value beyond a crossing is continued from another node. Held are also the sides of narrow gaps, the signed
-        distance, and the corrections of mean value maps next to the cage, without which slopes of nodes there are off
-        by less than a hundredth.
+        distance, and the corrections of mean value and maximum likelihood maps next to the cage, without which slopes
+        of nodes there are off by less than a hundredth.
 
         Args:
             by_positions: Slopes of the number by `data.positions`, of its shape, vec3 on its device; zero where it does
@@ -324,11 +324,11 @@ class PositionMap(HeldOnDevice):
 
         Raises:
             ValueError: Without a pose, for slopes of another shape, type or device, and for coordinates without an
-                adjoint (maximum likelihood, biharmonic).
+                adjoint (biharmonic).
         """
         with self.lock:
             launches, lattice = self._posed()
-            if self._kind.adjoint is None and self._kind.is_closed_form:
+            if not self._kind.has_gradients:
                 raise InputError(f"no gradient passes through {self.coordinates} maps: take other coordinates")
             if by_positions.shape != lattice.shape or by_positions.dtype != wp.vec3:
                 given = f"{by_positions.shape} of {by_positions.dtype.__name__}"

@@ -10,8 +10,8 @@ import warp as wp
 from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import HeldOnDevice, launch
 from ..core.names import coordinate_kind
-from ..kernels.adjoint.corners import sum_crossings
-from ..kernels.adjoint.ring_adjoint import CrossingSlopes, propagate_ring, propagate_through_cage
+from ..kernels.gradients.corners import sum_crossings
+from ..kernels.gradients.ring_adjoint import CrossingSlopes, propagate_ring, propagate_through_cage
 from ..kernels.lattice.cage_map import apply_weights
 from ..kernels.lattice.cut_rows import CutRows
 from ..kernels.lattice.nodes import RINGS
