@@ -40,7 +40,8 @@ from warpcage.view import RGB_BYTES
 CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",
             "fitting.rmsprop.join_maximum", "render.march_cpu.", "field.march_cpu.",
             "field.occupancy.gather_densities", "field.occupancy.note_densities", "field.occupancy.spread_lines",
-            "mesh.shell.", "mesh.collapses.", "splats.composite_cpu.", "splats.pose.carry_bound"}  # fmt: skip
+            "mesh.shell.", "mesh.collapses.", "splats.composite_cpu.", "splats.pose.carry_bound",
+            "gradients.splat_pose.propagate_rows"}  # fmt: skip
 CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows",
              "field.densities.lay_densities", "field.refine.widen_rows", "field.outer_bricks.",
              "field.columns.link_rows", "field.occupancy.spread_distance", "field.colors.",
@@ -49,7 +50,8 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "edits.nodes.", "view.tile_order.",
              "fitting.splat_step.check_room", "fitting.splat_loss.find_slopes_of_tiles",
              "fitting.splat_loss.find_window_slopes_of_tiles",
-             "splats.composite.", "splats.packed_rows.", "view.pictures.round_colors"}  # fmt: skip
+             "splats.composite.add_", "splats.composite.composite_pixels", "splats.packed_rows.",
+             "gradients.splat_pose.propagate_packed_rows", "view.pictures.round_colors"}  # fmt: skip
 
 launched: set[str] = set()
 
@@ -181,7 +183,7 @@ def coordinates(device) -> None:
         PositionMap(slotted(0.5), coordinates=kind, resolution=16, device=device).pose(slotted(0.03))
     sphere = trimesh.creation.icosphere(subdivisions=3)  # faces enough to be looked through for groups of blocks
     fine = warpcage.Cage(sphere.vertices, sphere.faces)
-    for kind in ("harmonic", "mean_value", "green"):
+    for kind in ("harmonic", "mean_value", "green", "maximum_likelihood"):
         position_map = PositionMap(CAGE, coordinates=kind, resolution=24, device=device).pose(POSE)
         position_map.vertex_gradient(position_map.data.positions)
         deform_points_vjp(points, CAGE, POSE, points, kind)
@@ -311,7 +313,11 @@ def posed_splats(device) -> None:
     for kind in COORDINATES:
         options = {"coordinates": kind, "resolution": 12, "device": device}
         for map in ("forward", "backward"):
-            warpcage.Deformer(field, CAGE, map=map, **options).pose(POSE).baked()
+            deformer = warpcage.Deformer(field, CAGE, map=map, **options).pose(POSE)
+            deformer.baked()
+            if map == "forward":
+                ones = np.ones((16, 16))
+                frame_gradient(deformer, camera(), depth_gradient=ones, by_vertices=True, by_camera=True)
     warpcage.Deformer(field, QUADS, **options | {"coordinates": "mean_value"}).pose(QUADS.bend(40)).posed_splats()
     lid = warpcage.Cage.box((-1.2, -1.2, 2.0), (1.2, 1.2, 5.0))
     cages = [warpcage.CageEdit(CAGE, keep_source=True), lid, warpcage.CageEdit(lid.translate((0, 4, 0)), remove=True)]

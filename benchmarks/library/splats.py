@@ -323,7 +323,7 @@ def pose_row(field, cage, kind: str, rounds: int, whole: bool) -> dict:
     wp.synchronize_device(device)
     bound = time.perf_counter() - begin
     edits = deformer.posed_edits()
-    first = edits._bound[0]
+    first = edits.bound[0]
     nodes, pieces = len(edits.tree.rows), int((edits.tree.pieces >= 0).sum())
 
     def poses():

@@ -31,6 +31,18 @@ def drawn_pixel(
     ...
 
 
+@wp.func
+def pixel_of_tiles(tiles: TileGrid, n: int):
+    """The tile, the column and the row of the pixel of thread n, of which 32 are 8x4 pixels."""
+    tile = n // (TILE_SIDE * TILE_SIDE)
+    block = (n // 32) % (TILE_SIDE * TILE_SIDE // 32)
+    lane = n % 32
+    across = TILE_SIDE // 8
+    column = (tile % tiles.columns) * TILE_SIDE + (block % across) * 8 + lane % 8
+    row = (tiles.first_row + tile // tiles.columns) * TILE_SIDE + (block // across) * 4 + lane // 8
+    return tile, column, row
+
+
 @wp.kernel
 def composite_pixels(
     first: int,
@@ -47,13 +59,7 @@ def composite_pixels(
     """One thread per pixel of the tiles, 32 of them 8x4 pixels. Outputs (h * w,); depth: expected distance along the
     ray, world units, inf where almost nothing is seen, or (0,)."""
     # view: (3 n,) of splats/project. members: splats of tiles, front to back; starts: (tiles + 1,) of each tile.
-    n = first + wp.tid()
-    tile = n // (TILE_SIDE * TILE_SIDE)
-    block = (n // 32) % (TILE_SIDE * TILE_SIDE // 32)
-    lane = n % 32
-    across = TILE_SIDE // 8
-    column = (tile % tiles.columns) * TILE_SIDE + (block % across) * 8 + lane % 8
-    row = (tiles.first_row + tile // tiles.columns) * TILE_SIDE + (block // across) * 4 + lane // 8
+    tile, column, row = pixel_of_tiles(tiles, first + wp.tid())
     inside = 0
     if column < tiles.width and row < tiles.height:
         inside = 1
@@ -108,13 +114,7 @@ def add_slopes(
 ):
     """One thread per pixel of the tiles, as splats/composite, whose inputs and picture these are. slopes: (h * w,) of
     the loss by the picture. sums: (SUMS n,) are added to."""
-    n = first + wp.tid()
-    tile = n // (TILE_SIDE * TILE_SIDE)
-    block = (n // 32) % (TILE_SIDE * TILE_SIDE // 32)
-    lane = n % 32
-    across = TILE_SIDE // 8
-    column = (tile % tiles.columns) * TILE_SIDE + (block % across) * 8 + lane % 8
-    row = (tiles.first_row + tile // tiles.columns) * TILE_SIDE + (block // across) * 4 + lane // 8
+    tile, column, row = pixel_of_tiles(tiles, first + wp.tid())
     inside = 0
     color = wp.vec3()
     slope = wp.vec3()
@@ -134,4 +134,67 @@ def add_slopes(
         color,
         slope,
         sums,
+    )
+
+
+@forward.func_native(f"#define WITH_DEPTHS\n{native_source(__file__, 'cpp/composite_slopes.h')}#undef WITH_DEPTHS\n")
+def add_pixel_depth_slopes(
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    begin: int,
+    end: int,
+    x: float,
+    y: float,
+    inside: int,
+    stop: float,
+    color: wp.vec3,
+    slope: wp.vec3,
+    other: wp.vec3,
+    sums: wp.array(dtype=wp.float32),
+    depth_sums: wp.array(dtype=wp.float32),
+):
+    """`add_pixel_slopes` of a pixel whose opacity and depth count too; other: of gradients/splat_pose."""
+    ...
+
+
+@wp.kernel
+def add_depth_slopes(
+    first: int,
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    tiles: TileGrid,
+    stop: float,
+    rgb: wp.array(dtype=wp.vec3),
+    slopes: wp.array(dtype=wp.vec3),
+    others: wp.array(dtype=wp.vec3),
+    sums: wp.array(dtype=wp.float32),
+    depth_sums: wp.array(dtype=wp.float32),
+):
+    """`add_slopes` of a loss by colors, opacities and depths; others: (h * w,) of gradients/splat_pose. depth_sums:
+    (3 n,) are added to: slopes by a splat's distance, and by how that leans along columns and rows."""
+    tile, column, row = pixel_of_tiles(tiles, first + wp.tid())
+    inside = 0
+    color = wp.vec3()
+    slope = wp.vec3()
+    other = wp.vec3()
+    if column < tiles.width and row < tiles.height:
+        inside = 1
+        color = rgb[row * tiles.width + column]
+        slope = slopes[row * tiles.width + column]
+        other = others[row * tiles.width + column]
+    add_pixel_depth_slopes(
+        view,
+        members,
+        starts[tile],
+        starts[tile + 1],
+        float(column) + 0.5,
+        float(row) + 0.5,
+        inside,
+        stop,
+        color,
+        slope,
+        other,
+        sums,
+        depth_sums,
     )

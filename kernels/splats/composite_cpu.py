@@ -27,6 +27,10 @@ def sum_tile_slopes(
     ...
 
 
+#: With opacities and depths.
+DEPTH_SLOPES = f"#define WITH_DEPTHS\n{native_source(__file__, 'cpp/composite_slopes_cpu.h')}#undef WITH_DEPTHS\n"
+
+
 @wp.kernel
 def sum_slopes_of_tiles(
     first: int,
@@ -46,26 +50,75 @@ def sum_slopes_of_tiles(
     sum_tile_slopes(view, members, sources, starts[tile], starts[tile + 1], tiles, tile, stop, rgb, slopes, entry_sums)
 
 
+@forward.func_native(
+    f"#define WITH_DEPTHS\n{native_source(__file__, 'cpp/composite_slopes_cpu.h')}#undef WITH_DEPTHS\n"
+)
+def sum_tile_depth_slopes(
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    sources: wp.array(dtype=wp.int32),
+    begin: int,
+    end: int,
+    tiles: TileGrid,
+    tile: int,
+    stop: float,
+    rgb: wp.array(dtype=wp.vec3),
+    slopes: wp.array(dtype=wp.vec3),
+    others: wp.array(dtype=wp.vec3),
+    entry_sums: wp.array(dtype=wp.float32),
+    entry_depths: wp.array(dtype=wp.float32),
+):
+    """`sum_tile_slopes` of pixels whose opacities and depths count too."""
+    ...
+
+
+@wp.kernel
+def sum_depth_slopes_of_tiles(
+    first: int,
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    sources: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    tiles: TileGrid,
+    stop: float,
+    rgb: wp.array(dtype=wp.vec3),
+    slopes: wp.array(dtype=wp.vec3),
+    others: wp.array(dtype=wp.vec3),
+    entry_sums: wp.array(dtype=wp.float32),
+    entry_depths: wp.array(dtype=wp.float32),
+):
+    """`sum_slopes_of_tiles` of a loss by colors, opacities and depths: others, as for splats/composite
+    `add_depth_slopes`; entry_depths: (3 entries,), by place."""
+    tile = first + wp.tid()
+    begin = starts[tile]
+    end = starts[tile + 1]
+    sum_tile_depth_slopes(
+        view, members, sources, begin, end, tiles, tile, stop, rgb, slopes, others, entry_sums, entry_depths
+    )
+
+
 @wp.kernel
 def sum_slopes_of_splats(
     first: int,
     order: wp.array(dtype=wp.int32),
     ends: wp.array(dtype=wp.int64),
+    width: int,
     entry_sums: wp.array(dtype=wp.float32),
     sums: wp.array(dtype=wp.float32),
 ):
-    """order: (n,) splats as they wrote their entries. ends: (n,) where the entries of each end. sums: (9 n,)."""
+    """order: (n,) splats as they wrote their entries. ends: (n,) where the entries of each end. entry_sums:
+    (width entries,), sums: (width n,)."""
     i = first + wp.tid()
     begin = int(0)
     if i > 0:
         begin = int(ends[i - 1])
     end = int(ends[i])
     n = order[i]
-    for k in range(9):
+    for k in range(width):
         total = float(0.0)
         for e in range(begin, end):
-            total += entry_sums[9 * e + k]
-        sums[9 * n + k] = total
+            total += entry_sums[width * e + k]
+        sums[width * n + k] = total
 
 
 @forward.func_native(native_source(__file__, "cpp/composite_cpu.h"))

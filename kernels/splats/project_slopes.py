@@ -13,7 +13,7 @@ from ..field.harmonics import sh_basis, vec16
 from .fit import quaternion_slope, splat_axes
 from .pose import covariance_of
 from .project import ROOT_SCALE, Lens, rim_slope
-from .splats import Splats, four_entries
+from .splats import Splats, four_entries, harmonics_row, rest_direction
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -84,12 +84,14 @@ def basis_slope(d: wp.vec3, g: vec16):
 
 @wp.func
 def color_slope(splats: Splats, n: int, direction: wp.vec3, by_color: wp.vec3):
-    """Slope by a unit direction, from that by the color seen along it where it is not held at 0."""
+    """Slope by a unit direction in the frame of the harmonics, from that by the color seen along it where that is not
+    held at 0."""
     weights = vec16()
+    row = harmonics_row(splats, n)
     count = 3 * (splats.degree + 1) * (splats.degree + 1)
     for j in range(12):  # unrolled, so that the weights stay in registers
         if 4 * j < count:
-            four = four_entries(splats.harmonics, n, j)
+            four = four_entries(splats.harmonics, row, j)
             for i in range(4):
                 if 4 * j + i < count:
                     weights[(4 * j + i) // 3] += by_color[(4 * j + i) % 3] * four[i]
@@ -122,23 +124,40 @@ def ellipse_slopes(cc: float, cr: float, rr: float, blur: float, antialias: int,
     return found
 
 
+@wp.struct
+class ViewSlopes:
+    """Slopes by what a view depends on of one splat, posed or not, and the frame they are in."""
+
+    is_seen: int
+    center: wp.vec3  # all but through the color
+    by_color: wp.vec3  # by the center, through the direction of the color
+    strength: float  # by log2 of the opacity
+    ellipse: EllipseSlopes
+    lean_column: float  # of a depth, by direction . S c and direction . S r, c and r the rows of A
+    lean_row: float
+    to_column: wp.vec3  # c
+    to_row: wp.vec3  # r
+    offset: wp.vec3  # from the camera
+    rest: wp.vec3  # unit direction in the frame of the harmonics
+    turn: wp.vec3  # by that
+    color: wp.vec3  # by the color before it is held at 0
+    focal: float  # by the logarithm of the focal length
+
+
 @wp.func
-def row_slopes(
-    splats: Splats,
-    n: int,
-    lens: Lens,
-    logs: wp.vec3,
-    quaternion: wp.vec4,
-    view: wp.array(dtype=wp.vec4),
-    sums: wp.array(dtype=wp.float32),
+def view_slopes(
+    splats: Splats, n: int, lens: Lens, view: wp.array(dtype=wp.vec4), sums: wp.array(dtype=wp.float32), depths: wp.vec3
 ):
-    """Slopes of splat n, see `find_value_slopes`; all are 0 where it is not seen."""
+    """Slopes of splat n; all are 0 where it is not seen. sums: (9 n,) of splats/composite; depths: the three of a
+    picture's depths, zero without."""
     by_place = wp.vec3(sums[9 * n], sums[9 * n + 1], sums[9 * n + 2])
     by_shape = wp.vec3(-2.0 * sums[9 * n + 3], -2.0 * sums[9 * n + 4], -2.0 * sums[9 * n + 5])
     by_color = wp.vec3(sums[9 * n + 6], sums[9 * n + 7], sums[9 * n + 8])
-    found = RowSlopes()
-    if wp.length_sq(by_place) + wp.length_sq(by_shape) + wp.length_sq(by_color) == 0.0:
+    found = ViewSlopes()
+    of_all = wp.length_sq(by_place) + wp.length_sq(by_shape) + wp.length_sq(by_color) + wp.length_sq(depths)
+    if of_all == 0.0:
         return found
+    found.is_seen = 1
     strength = by_place[0]
     place = vec4_entry(view, 3 * n)
     shape = vec4_entry(view, 3 * n + 1)
@@ -168,49 +187,103 @@ def row_slopes(
     covariance = covariance_of(splats.covariances, n)
     by_column = covariance * to_column
     by_row = covariance * to_row
+    cc = wp.max(wp.dot(to_column, by_column), 0.0)
+    cr = wp.dot(to_row, by_column)
+    rr = wp.max(wp.dot(to_row, by_row), 0.0)
+    ellipse = ellipse_slopes(cc, cr, rr, lens.blur, lens.antialias, by_shape, strength)
+    distance = wp.length(offset)
+    direction = offset / distance
+    by_depth = wp.vec3()  # by the offset
+    slope_column = wp.vec3()
+    slope_row = wp.vec3()
+    if wp.length_sq(depths) > 0.0:
+        # depth = |offset| + k . (x - column, y - row), k = E^-1 (direction . S c, direction . S r), E blurred
+        ends = vec4_entry(view, 3 * n + 2)
+        column -= ends[2] * depths[0]
+        row -= ends[3] * depths[0]
+        blurred_c = cc + lens.blur
+        blurred_r = rr + lens.blur
+        inverse = 1.0 / (wp.max(cc * rr - cr * cr, 0.0) + lens.blur * (cc + rr) + lens.blur * lens.blur)
+        found.lean_column = inverse * (blurred_r * depths[1] - cr * depths[2])
+        found.lean_row = inverse * (blurred_c * depths[2] - cr * depths[1])
+        ellipse.cc -= found.lean_column * ends[2]
+        ellipse.cr -= found.lean_column * ends[3] + found.lean_row * ends[2]
+        ellipse.rr -= found.lean_row * ends[3]
+        turned = found.lean_column * by_column + found.lean_row * by_row
+        by_depth = depths[0] * direction + (turned - wp.dot(turned, direction) * direction) / distance
+        slope_column = found.lean_column * (covariance * direction)
+        slope_row = found.lean_row * (covariance * direction)
+    # E = A S A^T by its two rows
+    slope_column += 2.0 * ellipse.cc * by_column + ellipse.cr * by_row
+    slope_row += 2.0 * ellipse.rr * by_row + ellipse.cr * by_column
+    found.ellipse = ellipse
+    found.strength = strength
+    found.to_column = to_column
+    found.to_row = to_row
+    found.offset = offset
 
-    ellipse = ellipse_slopes(
-        wp.max(wp.dot(to_column, by_column), 0.0),
-        wp.dot(to_row, by_column),
-        wp.max(wp.dot(to_row, by_row), 0.0),
-        lens.blur,
-        lens.antialias,
-        by_shape,
-        strength,
-    )
-    # E = A S A^T by its two rows, and S = M M^T: M' = 2 S' M
-    slope_column = 2.0 * ellipse.cc * by_column + ellipse.cr * by_row
-    slope_row = 2.0 * ellipse.rr * by_row + ellipse.cr * by_column
+    by_x = camera.focal[0] * column
+    by_y = camera.focal[1] * row
+    along = wp.dot(slope_column, to_column) + wp.dot(slope_row, to_row)
+    found.focal = along + by_x * x + by_y * y
+    if rim_x == x:
+        by_x -= camera.focal[0] / z * wp.dot(slope_column, axis_z)
+    else:  # the rim is nearer the axis the longer the focal length
+        found.focal += camera.focal[0] / z * rim_x * wp.dot(slope_column, axis_z)
+    if rim_y == y:
+        by_y -= camera.focal[1] / z * wp.dot(slope_row, axis_z)
+    else:
+        found.focal += camera.focal[1] / z * rim_y * wp.dot(slope_row, axis_z)
+    by_z = -(along + by_x * x + by_y * y) / z
+    rest = rest_direction(splats, n, direction)
+    turn = color_slope(splats, n, rest, by_drawn)
+    by_direction = turn
+    if splats.turns.shape[0] > 0:
+        by_direction = wp.quat_rotate(splats.turns[n], turn)
+    found.rest = rest
+    found.turn = turn
+    found.color = by_drawn
+    found.by_color = (by_direction - wp.dot(by_direction, direction) * direction) / distance
+    found.center = (by_x / z) * axis_x + (by_y / z) * axis_y + by_z * axis_z + by_depth
+    return found
+
+
+@wp.func
+def row_slopes(
+    splats: Splats,
+    n: int,
+    lens: Lens,
+    logs: wp.vec3,
+    quaternion: wp.vec4,
+    view: wp.array(dtype=wp.vec4),
+    sums: wp.array(dtype=wp.float32),
+):
+    """Slopes of splat n, see `find_value_slopes`; all are 0 where it is not seen."""
+    found = RowSlopes()
+    seen = view_slopes(splats, n, lens, view, sums, wp.vec3())
+    if seen.is_seen == 0:
+        return found
+    # S = M M^T: M' = 2 S' M
+    ellipse = seen.ellipse
     axes = splat_axes(quaternion)
     by_axes = wp.mat33()
     by_logs = wp.vec3()
     for i in range(3):
         axis = wp.vec3(axes[0, i], axes[1, i], axes[2, i])
         scale = wp.exp(logs[i])
-        p = scale * wp.dot(to_column, axis)
-        q = scale * wp.dot(to_row, axis)
-        factor = (2.0 * ellipse.cc * p + ellipse.cr * q) * to_column + (2.0 * ellipse.rr * q + ellipse.cr * p) * to_row
+        p = scale * wp.dot(seen.to_column, axis)
+        q = scale * wp.dot(seen.to_row, axis)
+        factor = (2.0 * ellipse.cc * p + ellipse.cr * q) * seen.to_column
+        factor += (2.0 * ellipse.rr * q + ellipse.cr * p) * seen.to_row
         by_logs[i] = scale * wp.dot(factor, axis)
         for j in range(3):
             by_axes[j, i] = scale * factor[j]
     found.log_scales = by_logs
     found.quaternion = quaternion_slope(quaternion, by_axes)
-    found.logit = strength * (1.0 - splats.opacities[n]) / LN_2
-
-    by_x = camera.focal[0] * column
-    by_y = camera.focal[1] * row
-    if rim_x == x:
-        by_x -= camera.focal[0] / z * wp.dot(slope_column, axis_z)
-    if rim_y == y:
-        by_y -= camera.focal[1] / z * wp.dot(slope_row, axis_z)
-    by_z = -(wp.dot(slope_column, to_column) + wp.dot(slope_row, to_row) + by_x * x + by_y * y) / z
-    distance = wp.length(offset)
-    direction = offset / distance
-    by_direction = color_slope(splats, n, direction, by_drawn)
-    found.direction = direction
-    found.color = by_drawn
-    seen = (by_direction - wp.dot(by_direction, direction) * direction) / distance
-    found.center = (by_x / z) * axis_x + (by_y / z) * axis_y + by_z * axis_z + seen
+    found.logit = seen.strength * (1.0 - splats.opacities[n]) / LN_2
+    found.center = seen.center + seen.by_color
+    found.direction = seen.rest
+    found.color = seen.color
     return found
 
 

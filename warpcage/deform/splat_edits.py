@@ -181,7 +181,7 @@ class SplatEdits:
         progress: bool | Progress = False,
     ):
         self.field, self.device, self.origin = field, field.device, field.center
-        self.coordinates, self.resolution, self._law = coordinates, resolution, law
+        self.coordinates, self.resolution, self.law = coordinates, resolution, law
         self.bands = list(bands)
         self._edits = edits
         self.maps: list[PositionMap | None] = [None] * len(edits)  # where `backward`, of edits that do not remove
@@ -198,7 +198,7 @@ class SplatEdits:
         six = self.tree.covariances[nodes][:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
         self.centers = self.local(self.tree.centers[nodes])
         self.covariances = wp.array(six.astype(np.float32), dtype=wp.float32, device=device)
-        self._opacities = wp.array(self.tree.opacities[nodes].astype(np.float32), dtype=wp.float32, device=device)
+        self.opacities = wp.array(self.tree.opacities[nodes].astype(np.float32), dtype=wp.float32, device=device)
         self._shares = wp.array(instances.shares, dtype=wp.float32, device=device)
         self._nodes = wp.array(nodes, dtype=wp.int32, device=device)
         self._parents = wp.array(self.tree.parents.astype(np.int32), dtype=wp.int32, device=device)
@@ -211,7 +211,7 @@ class SplatEdits:
         self.carried.shares = empty_array(count, wp.float32, device)
         launch(pose.start_splats, count, [self.centers, self.carried], device=device)
         self._ready = False
-        self._bound = [BoundEdit(edit, self, index, progress) for index, edit in enumerate(edits)]
+        self.bound = [BoundEdit(edit, self, index, progress) for index, edit in enumerate(edits)]
         self._posed = self._empty_splats(count)
         self.posed: Any = None  # the Splats of the last pose
 
@@ -287,20 +287,24 @@ class SplatEdits:
         if self.is_at_rest(cages):  # to the bit: nothing is in pieces or shares
             self.posed = self.field.splats
             return
+        self.carry(cages)
+
+    def carry(self, cages: Sequence[Cage | None]) -> None:
+        """Carry the splats to a pose as `pose` does, also to the one at rest, in pieces and shares."""
         count, device = self._nodes.size, self.device
-        moving = [bound.carries(cage) for bound, cage in zip(self._bound, cages, strict=True)]
+        moving = [bound.carries(cage) for bound, cage in zip(self.bound, cages, strict=True)]
         if not self._ready:
             self._rewind()
         if not all(moving):  # what another pose has moved is at rest, and nothing writes its place anew
             launch(pose.start_splats, count, [self.centers, self.carried], device=device)
         self._ready = False
-        for bound, cage in zip(self._bound, cages, strict=True):
+        for bound, cage in zip(self.bound, cages, strict=True):
             bound.carry(cage, self.carried, self._split)
         if self._split is not None:
             inputs = [self._nodes, self._parents, self._split]
             launch(split.hide_splats, count, inputs, [self._hidden], device=device)
         out = self._posed
-        inputs = [self._law, self.covariances, self._opacities, self._hidden, self.carried]
+        inputs = [self.law, self.covariances, self.opacities, self._hidden, self.carried]
         outputs = [out.centers, out.covariances, out.opacities, out.turns]
         launch(pose.finish_splats, count, inputs, outputs, device=device)
         self.posed = out
@@ -314,6 +318,12 @@ class SplatEdits:
         self._ready = True
 
     @property
+    def is_split(self) -> bool:
+        """Whether the last pose draws pieces in place of a splat."""
+        whole = self.tree.parents[self.instances.nodes] < 0
+        return bool(self._hidden.size and self._hidden.numpy()[whole].any())
+
+    @property
     def missed_count(self) -> int:
         """Splats that the inverse of the voxels' map did not find a place for in the last pose."""
-        return int(sum(int(bound.missed.numpy().sum()) for bound in self._bound))
+        return int(sum(int(bound.missed.numpy().sum()) for bound in self.bound))

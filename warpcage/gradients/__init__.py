@@ -2,4 +2,4 @@
 
 from ..package import lazy_exports
 
-__getattr__, __dir__, __all__ = lazy_exports(__name__, {"frame": "FrameGradient frame_gradient"})
+__getattr__, __dir__, __all__ = lazy_exports(__name__, {"frame": "frame_gradient", "loss": "FrameGradient"})

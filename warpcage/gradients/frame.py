@@ -7,10 +7,9 @@ import itertools
 import math
 from typing import Any
 
-import numpy as np
 import warp as wp
 
-from ..core.arrays import array_view, as_numbers, as_points, empty_array
+from ..core.arrays import array_view
 from ..core.devices import launch
 from ..deform.deformer import Deformer
 from ..errors import InputError
@@ -18,30 +17,18 @@ from ..field.render import STOP_TRANSMITTANCE, FieldView, RenderOptions
 from ..field.voxel_field import VoxelField
 from ..fitting.batches import ShardedWork, launch_shards, shard_count, sum_shards
 from ..kernels.fitting.cameras import CAMERA_NUMBERS
-from ..kernels.gradients.frame import FrameLoss, FrameSlopes, accumulate_frame_gradient, sum_runs
+from ..kernels.gradients.frame import FrameLoss, FrameSlopes, accumulate_frame_gradient
 from ..kernels.render.rays import MarchOptions
 from ..kernels.view.rays import TILE_SIZE
 from ..render.scene import PosedScene
+from ..splats.splat_field import SplatField
 from ..view.camera import Camera, camera_struct
-
-#: Rays whose derivatives one item adds up.
-RUN = 64
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class FrameGradient:
-    """Derivatives of a loss of one frame, on its device."""
-
-    nodes: wp.array  # (nx, ny, nz) vec3, by the canonical position of each node of the map, per world unit
-    vertices: wp.array | None = None  # (v,) vec3, by the vertices of the posed cage, per world unit
-    rest_vertices: wp.array | None = None  # (v,) vec3, by those of the cage at rest
-    camera: np.ndarray | None = None  # (7,) float64: turns about its axes, radians; shifts along them; log focal length
-    density: wp.array | None = None  # (rows,) float32, by the field's densities before the ReLU
-    harmonics: wp.array | None = None  # (rows, 24 or 27) float32, by the numbers of its harmonics
+from .loss import FrameGradient, column_sums, frame_loss
+from .splats import splat_gradient
 
 
 def frame_gradient(
-    deformer: Deformer[VoxelField],
+    deformer: Deformer[Any],
     camera: Camera,
     image_gradient: Any = None,
     *,
@@ -53,69 +40,70 @@ def frame_gradient(
     background: Any = None,
     step: float | None = None,
 ) -> FrameGradient:
-    """The gradient of a loss of a frame of the last pose, by its derivatives (h, w, 3) or (h, w) by the frame's
-    parts, arrays of any library, None for zero; background, step: of the frame, as for `Deformer.render`."""
-    # Samples are held at their distances from the camera. Where the frame is not smooth, this is the gradient of what
-    # is smooth beside it: see Gradients in docs/arrays.md. Derivatives by depths count where a pixel has one.
+    """The gradient of a loss of a frame of the last pose, by its derivatives (h, w, 3) or (h, w) by the frame's parts,
+    arrays of any library, None for zero; voxels or splats. background, step: of the frame, as for `Deformer.render`."""
+    # Where the frame is not smooth, this is the gradient of what is smooth beside it: see Gradients in docs/arrays.md.
+    # Derivatives by depths count where a pixel has one.
+    field, wanted = deformer.field, {"by_vertices": by_vertices, "by_camera": by_camera, "by_field": by_field}
+    if not isinstance(field, (VoxelField, SplatField)):
+        raise InputError(f"a frame's gradient is of a VoxelField or SplatField, not of a {type(field).__name__}")
     with deformer.lock:
-        scene = _plain_scene(deformer)
-        field = deformer.field
-        view = FieldView(field, camera, RenderOptions(background=background, step=step))
-        if view.side != 1:
-            raise InputError(f"a gradient is of frames with one ray a pixel, the field's supersampling is {view.side}")
-        if view.layers is not None:
-            raise InputError("a gradient is of frames without surroundings: give the colour of a background")
-        loss = _frame_loss(view, image_gradient, alpha_gradient, depth_gradient)
-        stored = field.grid  # with harmonics as single floats
-        field.marching.begin()
-        grid = field.marching.grid()
-        scene.prepare(grid, view.step)
-        edit, options = scene.tables.edits[0], MarchOptions()
-        options.step, options.inverse_step, options.stop = view.step, 1.0 / view.step, STOP_TRANSMITTANCE
-        options.arc_opacity = int(deformer.density == "opacity")
-        sums = _Sums(tuple(edit.node_counts), stored if by_field else None, view if by_camera else None, field.device)
-        inputs = [grid, field.marching.columns.columns, edit, camera_struct(camera, field.center)]
-        sums.add(view, [*inputs, wp.vec3(*map(float, view.color)), options, loss])
-        found = sums.gradient()
-        if by_vertices:
-            position_map = scene.lattices.maps[0]
-            assert position_map is not None  # as the edit is no removal
-            posed, rest = position_map.vertex_gradient(found.nodes)
-            found = dataclasses.replace(found, vertices=posed, rest_vertices=rest)
-        return found
+        loss = frame_loss(camera, field.device, image_gradient, alpha_gradient, depth_gradient)
+        if isinstance(field, SplatField):
+            if step is not None:
+                raise InputError("splats are not marched through: leave step out")
+            return splat_gradient(deformer, camera, loss, background, **wanted)
+        return _voxel_gradient(deformer, camera, loss, RenderOptions(background=background, step=step), **wanted)
+
+
+def _voxel_gradient(
+    deformer: Deformer[VoxelField],
+    camera: Camera,
+    given: dict[str, wp.array],
+    options: RenderOptions,
+    *,
+    by_vertices: bool,
+    by_camera: bool,
+    by_field: bool,
+) -> FrameGradient:
+    """See `frame_gradient`. Samples are held at their distances from the camera."""
+    scene = _plain_scene(deformer)
+    field = deformer.field
+    view = FieldView(field, camera, options)
+    if view.side != 1:
+        raise InputError(f"a gradient is of frames with one ray a pixel, the field's supersampling is {view.side}")
+    if view.layers is not None:
+        raise InputError("a gradient is of frames without surroundings: give the colour of a background")
+    loss = FrameLoss()
+    for name, values in given.items():
+        setattr(loss, name, values)
+    stored = field.grid  # with harmonics as single floats
+    field.marching.begin()
+    grid = field.marching.grid()
+    scene.prepare(grid, view.step)
+    edit, march = scene.tables.edits[0], MarchOptions()
+    march.step, march.inverse_step, march.stop = view.step, 1.0 / view.step, STOP_TRANSMITTANCE
+    march.arc_opacity = int(deformer.density == "opacity")
+    sums = _Sums(tuple(edit.node_counts), stored if by_field else None, view if by_camera else None, field.device)
+    inputs = [grid, field.marching.columns.columns, edit, camera_struct(camera, field.center)]
+    sums.add(view, [*inputs, wp.vec3(*map(float, view.color)), march, loss])
+    found = sums.gradient()
+    if by_vertices:
+        position_map = scene.lattices.maps[0]
+        assert position_map is not None and found.nodes is not None  # as the edit is no removal
+        posed, rest = position_map.vertex_gradient(found.nodes)
+        found = dataclasses.replace(found, vertices=posed, rest_vertices=rest)
+    return found
 
 
 def _plain_scene(deformer: Deformer[Any]) -> PosedScene:
     """The posed edits of a Deformer, which must be one on a lattice, of voxels."""
-    if not isinstance(deformer.field, VoxelField):
-        raise InputError(f"a frame's gradient is of a VoxelField, not of a {type(deformer.field).__name__}")
     scene, edits = deformer.posed_edits(), deformer.edits
     if not isinstance(scene, PosedScene):
         raise InputError("a frame's gradient is of an edit on a lattice: give the Deformer a resolution")
     if len(edits) != 1 or edits[0].remove or edits[0].falloff or edits[0].fragments:
         raise InputError("a frame's gradient is of one edit that moves or copies, without falloff and fragments")
     return scene
-
-
-def _frame_loss(view: FieldView, rgb: Any, alpha: Any, depth: Any) -> Any:
-    """The FrameLoss of derivatives as callers give them, (h, w, 3) or (h, w)."""
-    loss, pixels = FrameLoss(), view.camera.width * view.camera.height
-    if rgb is not None:
-        is_flat = isinstance(rgb, wp.array) and rgb.dtype == wp.vec3
-        rows = as_points(rgb.flatten() if is_flat else _reshaped(rgb, (-1, 3)), view.device, name="image_gradient")
-        if len(rows) != pixels:
-            size = f"({view.camera.height}, {view.camera.width}, 3)"
-            raise InputError(f"image_gradient must be {size}, got {tuple(rgb.shape)}")
-        loss.rgb = rows
-    for name, values in (("alpha", alpha), ("depth", depth)):
-        if values is not None:
-            setattr(loss, name, as_numbers(values, pixels, view.device, name=f"{name}_gradient"))
-    return loss
-
-
-def _reshaped(values: Any, shape: tuple[int, ...]) -> Any:
-    """An array of any library, or lists, in another shape."""
-    return values.reshape(shape) if hasattr(values, "reshape") else np.asarray(values, np.float32).reshape(shape)
 
 
 class _Sums:
@@ -145,10 +133,7 @@ class _Sums:
         nodes, *of_field = self._parts(0)
         camera = None
         if self._rays.shape[0]:
-            runs = -(-self._rays.shape[0] // RUN)
-            sums = empty_array((runs, int(CAMERA_NUMBERS)), wp.float32, self._device)
-            launch(sum_runs, sums.size, [self._rays, RUN], [sums], device=self._device, work=RUN)
-            camera = sums.numpy().sum(axis=0, dtype=np.float64)
+            camera = column_sums(self._rays)
         names = dict(zip(("density", "harmonics"), of_field, strict=False))
         return FrameGradient(nodes.reshape(self._shape), camera=camera, **names)
 

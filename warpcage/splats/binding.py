@@ -11,15 +11,18 @@ import warp as wp
 
 from ..coordinates.harmonic import weight_maps
 from ..core.arrays import empty_array
-from ..core.devices import HeldOnDevice, launch
+from ..core.devices import HeldOnDevice, lane_count, launch
 from ..core.memory import require_memory
 from ..core.names import coordinate_kind
 from ..core.reports import Progress, report_progress
 from ..errors import InputError
 from ..kernels.coordinates.local_points import find_not_finite
+from ..kernels.gradients import splat_pose
+from ..kernels.gradients.green_adjoint import slope_stretched_normals
 from ..kernels.splats import lattice_rows, pose
 from ..kernels.splats.packed_rows import PackedRows, carry_packed, pack_rows
 from ..lattice.closed_form import weight_operator
+from ..lattice.corner_sums import CPU_PARTS, CornerSums
 from ..mesh.faces import StretchTarget, column_cross, column_dot, face_edges, stretched_normals
 from ..mesh.mesh import ClosedMesh
 from ..mesh.surface import merge_rows
@@ -37,8 +40,8 @@ class PoseFit:
         self._origin, self._size = origin, rest.size
         self._local = rest.vertices - origin
         self._green = coordinate_kind(coordinates).has_face_weights
-        self._own = rest.own_count  # of a surface the first vertices, from which the others follow
-        self.row_count = self._own + (len(rest.faces) if self._green else 0)  # r_j: by vertex; Green: by face
+        self.own_count = rest.own_count  # of a surface the first vertices, from which the others follow
+        self.row_count = self.own_count + (len(rest.faces) if self._green else 0)  # r_j: by vertex; Green: by face
         used = np.ones(len(rest.vertices), dtype=bool)
         if not self._green:
             used[rest.topology.unused_vertices] = False  # they may lie anywhere
@@ -66,12 +69,12 @@ class PoseFit:
         around = posed - middle
         if self._green:
             matrix = nearest_similarity(self._spread, around, self._square_sum)
-            out[count + self._own :] = (self._tilts(around) - matrix @ self._normals).T  # r_j times the size
+            out[count + self.own_count :] = (self._tilts(around) - matrix @ self._normals).T  # r_j times the size
         else:
             matrix = (self._inverse @ around).T
         out[:count] = posed
         # relative to the centres, so that nothing is lost far from the origin
-        out[count : count + self._own] = (around - (self._local - self._center) @ matrix.T)[: self._own]
+        out[count : count + self.own_count] = (around - (self._local - self._center) @ matrix.T)[: self.own_count]
         return matrix - np.eye(3), middle - matrix @ self._center
 
     def _tilts(self, vertices: np.ndarray) -> np.ndarray:
@@ -106,6 +109,9 @@ def fit_similarity(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, 
     matrix = nearest_similarity(a, target - middle, (a**2).sum())
     return matrix, middle - matrix @ center
 
+
+#: Groups of lanes that share the rows of bound points in a backward pass on CUDA.
+BACKWARD_GROUPS = 1 << 13
 
 #: Points that are bound in one launch: their sums in float64 take 32 bytes a vertex.
 CHUNK = 1 << 15
@@ -225,6 +231,48 @@ class CageBinding(HeldOnDevice):
         ]
         launch(kernel, members.size, inputs, device=self._device, work=height)
         return targets
+
+    def vertex_gradient(
+        self,
+        deformed: ClosedMesh,
+        members: wp.array,  # as for `carry`
+        others: wp.array,
+        offsets: wp.array,
+        slopes: Any,  # CarriedSlopes of kernels/gradients/splat_pose.py, by what `carry` put there
+    ) -> wp.array:
+        """Slopes (v,) vec3 by the posed cage's own vertices, per world unit, of the pose that was carried last."""
+        device, count, height, own = self._device, members.size, self._fit.row_count, self._fit.own_count
+        bound = splat_pose.CarriedSlopes()
+        bound.positions = empty_array(count, wp.vec3, device)
+        bound.jacobians = empty_array(count, wp.mat33, device)
+        launch(splat_pose.gather_bound, count, [members, others, offsets, slopes], [bound], device=device)
+        inverse_size = 1.0 / self._cage.size
+        if self.packed is not None:
+            tiles, groups, _ = self.packed.groups.shape
+            parts = max(1, min(tiles, BACKWARD_GROUPS // groups))
+            by_targets = wp.zeros((parts, 4 * groups), dtype=wp.vec3, device=device)
+            inputs = [count, self.packed, inverse_size, bound]
+            items = parts * groups * lane_count(device)
+            launch(splat_pose.propagate_packed_rows, items, inputs, [by_targets], device=device, work=count)
+        else:
+            span = -(-count // CPU_PARTS)
+            by_targets = wp.zeros((CPU_PARTS, height), dtype=wp.vec3, device=device)
+            inputs = [span, self.rows, inverse_size, bound]
+            launch(splat_pose.propagate_rows, CPU_PARTS, inputs, [by_targets], device=device, work=span * height)
+        by_vertices = wp.zeros(own, dtype=wp.vec3, device=device)
+        if height > own:  # r_j of faces are their stretched normals times the size
+            sums, faces = CornerSums(self._cage, device), len(self._cage.faces)
+            by_normals = wp.zeros(faces, dtype=wp.vec3, device=device)
+            launch(splat_pose.add_parts, faces, [by_targets, own, self._cage.size], [by_normals], device=device)
+            rest, posed = (
+                wp.array(mesh.vertices - self._cage.bounds[0], dtype=wp.vec3, device=device)
+                for mesh in (self._cage, deformed)
+            )
+            inputs = [rest, posed, sums.faces, by_normals.reshape((1, faces))]
+            launch(slope_stretched_normals, faces, inputs, sums.arrays, device=device)
+            by_vertices = sums.gathered((1.0, 1.0))[1]
+        launch(splat_pose.add_parts, own, [by_targets, 0, 1.0], [by_vertices], device=device)
+        return by_vertices
 
 
 def _columns(height: int, count: int, dtype: Any, device: wp.Device) -> wp.array:

@@ -109,8 +109,8 @@ class SplatParameters:
         )
 
 
-#: Sums of a splat on the host.
-SUM_COUNT = int(SUMS)
+#: Sums of a splat on the host, and those by depths.
+SUM_COUNT, DEPTH_SUM_COUNT = int(SUMS), 3
 
 
 class SplatGradients(SplatRenderer):
@@ -122,8 +122,8 @@ class SplatGradients(SplatRenderer):
         pool = BufferPool(self.device)
         self._sums, self._entry_sums = pool.buffer(wp.float32), pool.buffer(wp.float32)
         self._tiles, self._sources = pool.buffer(wp.int32), pool.buffer(wp.int32)
-        self._rgb, self._alpha = pool.buffer(wp.vec3), pool.buffer(wp.float32)
-        self._no_depth: wp.array = empty_array(0, wp.float32, self.device)
+        self._rgb, self._alpha, self._depth = (pool.buffer(dtype) for dtype in (wp.vec3, wp.float32, wp.float32))
+        self._depth_sums, self._entry_depths = pool.buffer(wp.float32), pool.buffer(wp.float32)
         self._drawn: tuple[Any, ...] = ()
         self._parameters: Any = None
         self._lens: Any = None
@@ -131,14 +131,24 @@ class SplatGradients(SplatRenderer):
     def draw(self, parameters: SplatParameters, camera: Camera, lens: Any, color: wp.vec3) -> wp.array:
         """The picture (h * w,) vec3, one ray a pixel, valid until the next one; `parameters` are refreshed before.
         lens: of `splat_lens`, of the same camera; colour: behind the splats."""
+        self._parameters, self._lens = parameters, lens
+        return self.draw_splats(parameters.splats, camera, lens, color)[0]
+
+    def draw_splats(
+        self, splats: Any, camera: Camera, lens: Any, color: wp.vec3, with_depth: bool = False
+    ) -> tuple[wp.array, wp.array, wp.array]:
+        """Colours (h * w,) vec3, opacities (h * w,) and depths (h * w,), or (0,) without, of `draw`."""
         grid = tile_grid(camera.width, camera.height)
-        seen = self._project(parameters.splats, lens, parameters.splats.centers.shape[0])
+        seen = self._project(splats, lens, splats.centers.shape[0])
         total = self._count(grid, *seen)
         if total > MAX_ENTRIES:
-            raise InputError(f"splats touch {total} tiles of a picture, at most {MAX_ENTRIES}: fit smaller pictures")
-        rgb, _ = self._draw_entries(grid, seen, total, color)
-        self._parameters, self._lens = parameters, lens
-        return rgb
+            raise InputError(f"splats touch {total} tiles of a picture, at most {MAX_ENTRIES}: take smaller pictures")
+        return self._draw_entries(grid, seen, total, color, with_depth)
+
+    @property
+    def view(self) -> wp.array:
+        """The view (3 n,) of the splats drawn last, of kernels/splats/project.py."""
+        return self._drawn[1][1]
 
     def take_back(self, slopes: wp.array) -> None:
         """Set the slopes of the parameters drawn last, from those (h * w,) vec3 of a loss by the picture's colours."""
@@ -150,36 +160,54 @@ class SplatGradients(SplatRenderer):
         kernel = project_slopes.find_value_slopes
         launch(kernel, count, inputs, outputs, device=self.device, work=2 * PROJECT_WORK)
 
-    def _draw_entries(self, grid: Any, seen: tuple, total: int, color: wp.vec3) -> tuple[wp.array, wp.array]:
-        """Colours (h * w,) vec3 and opacities (h * w,) of a picture of so many entries."""
+    def _draw_entries(
+        self, grid: Any, seen: tuple, total: int, color: wp.vec3, with_depth: bool = False
+    ) -> tuple[wp.array, wp.array, wp.array]:
+        """Colours (h * w,) vec3, opacities (h * w,) and depths, or (0,) without, of a picture of so many entries."""
         self.entry_count, pixels = total, grid.width * grid.height
         keys, members = self._write(grid, total, seen)
         sources = self._write_sources(grid, total, keys) if self.device.is_cpu else None
         starts = self._sort(grid, total, keys, members)
         rgb, alpha = self._rgb.take(pixels), self._alpha.take(pixels)
+        depth = self._depth.take(pixels) if with_depth else empty_array(0, wp.float32, self.device)
         inputs = [seen[1], members, starts, grid]
-        self._composite(grid, [*inputs, color, STOP_TRANSMITTANCE], [rgb, alpha, self._no_depth])
+        self._composite(grid, [*inputs, color, STOP_TRANSMITTANCE], [rgb, alpha, depth])
         self._drawn = grid, seen, inputs, sources, total, rgb
-        return rgb, alpha
+        return rgb, alpha, depth
 
     def sum_slopes(self, slopes: wp.array) -> wp.array:
         """The sums (9 n,) of the splats drawn last (kernels/splats/project_slopes), from slopes (h * w,) by colours."""
+        return self._sum_slopes(slopes, None)[0]
+
+    def sum_depth_slopes(self, slopes: wp.array, others: wp.array) -> tuple[wp.array, wp.array]:
+        """`sum_slopes`, and sums (3 n,) by depths; others (h * w,) of `weigh_pixels` (kernels/gradients)."""
+        return self._sum_slopes(slopes, others)
+
+    def _sum_slopes(self, slopes: wp.array, others: wp.array | None) -> tuple[wp.array, wp.array]:
+        """Sums of the splats drawn last, (9 n,) and (3 n,); others: None where colours alone count, the latter are (0,)
+        then."""
         grid, (count, _, _, order), inputs, sources, total, rgb = self._drawn
-        sums = self._sums.take(SUM_COUNT * count)
-        inputs = [*inputs, STOP_TRANSMITTANCE, rgb, slopes]
+        has_depths = others is not None
+        widths = {SUM_COUNT: self._sums, DEPTH_SUM_COUNT: self._depth_sums} if has_depths else {SUM_COUNT: self._sums}
+        outputs = [buffer.take(width * count) for width, buffer in widths.items()]
+        inputs = [*inputs, STOP_TRANSMITTANCE, rgb, slopes, *([others] if has_depths else [])]
         tile_count = grid.columns * grid.rows
         if self.device.is_cpu:
-            rows = self._entry_sums.take(SUM_COUNT * total)
+            buffers = dict(zip(widths, (self._entry_sums, self._entry_depths), strict=False))
+            rows = [buffer.take(width * total) for width, buffer in buffers.items()]
             inputs.insert(2, sources)
-            kernel = composite_cpu.sum_slopes_of_tiles
-            launch(kernel, tile_count, inputs, [rows], device=self.device, work=DRAW_WORK)
-            kernel, inputs = composite_cpu.sum_slopes_of_splats, [order, self._ends.take(count), rows]
-            launch(kernel, count, inputs, [sums], device=self.device)
+            kernel = composite_cpu.sum_depth_slopes_of_tiles if has_depths else composite_cpu.sum_slopes_of_tiles
+            launch(kernel, tile_count, inputs, rows, device=self.device, work=DRAW_WORK)
+            for width, entry_sums, sums in zip(widths, rows, outputs, strict=True):
+                inputs = [order, self._ends.take(count), width, entry_sums]
+                launch(composite_cpu.sum_slopes_of_splats, count, inputs, [sums], device=self.device)
         else:
-            sums.zero_()
-            items = tile_count * tiles.TILE_SIDE**2
-            launch(composite.add_slopes, items, inputs, [sums], device=self.device)
-        return sums
+            for sums in outputs:
+                sums.zero_()
+            kernel, items = composite.add_slopes, tile_count * tiles.TILE_SIDE**2
+            kernel = composite.add_depth_slopes if has_depths else kernel
+            launch(kernel, items, inputs, outputs, device=self.device)
+        return outputs[0], outputs[1] if has_depths else empty_array(0, wp.float32, self.device)
 
     def _write_sources(self, grid: Any, total: int, keys: wp.array) -> wp.array:
         """The place before they were sorted of entries that are sorted by tile."""

@@ -5,15 +5,31 @@ constexpr int GROUP = 8, QUEUE = 40;  // less than a group that waits, and 32 of
 __shared__ float4 places[8][QUEUE], shapes[8][QUEUE];
 __shared__ float2 blues[8][QUEUE], kept[8][GROUP][37], slope_of[8][36];
 __shared__ float blue_slope_of[8][36];
+#if defined(WITH_DEPTHS)
+__shared__ float2 leans[8][QUEUE];
+__shared__ float distances[8][QUEUE], far_slope_of[8][36];
+#endif
 const float gx = slope.c[0], gy = slope.c[1], gz = slope.c[2];
-if (__ballot_sync(0xffffffffu, gx != 0.0f || gy != 0.0f || gz != 0.0f) == 0u)
+bool counts = gx != 0.0f || gy != 0.0f || gz != 0.0f;
+#if defined(WITH_DEPTHS)
+const float solid = other.c[0], far = other.c[1];
+counts = counts || solid != 0.0f || far != 0.0f;
+#endif
+if (__ballot_sync(0xffffffffu, counts) == 0u)
     return;
 #include "warp_members.h"
 float* sum_of = reinterpret_cast<float*>(sums.data);
 const int line = lane & 3, pixel = lane + ((lane >> 4) << 2);  // a gap and rows of 37: lanes read other banks
 slope_of[warp][pixel] = make_float2(gx, gy);
 blue_slope_of[warp][pixel] = gz;
+#if defined(WITH_DEPTHS)
+far_slope_of[warp][pixel] = far;
+float* depths_of = reinterpret_cast<float*>(depth_sums.data);
+#endif
 float T = inside ? 1.0f : 0.0f, behind = color.c[0] * gx + color.c[1] * gy + color.c[2] * gz;
+#if defined(WITH_DEPTHS)
+behind += other.c[2];
+#endif
 int head = 0, filled = 0;
 for (int base = begin; base < end; base += 32)
 {
@@ -26,6 +42,10 @@ for (int base = begin; base < end; base += 32)
         places[warp][place] = a;
         shapes[warp][place] = b;
         blues[warp][place] = make_float2(c.x, __int_as_float(number));
+#if defined(WITH_DEPTHS)
+        distances[warp][place] = c.y;
+        leans[warp][place] = make_float2(c.z, c.w);
+#endif
     }
     filled += count;
     const int missing = base + 32 < end ? 0 : -filled & (GROUP - 1);
@@ -35,6 +55,10 @@ for (int base = begin; base < end; base += 32)
         places[warp][place] = make_float4(0.0f, 0.0f, -100.0f, 0.0f);
         shapes[warp][place] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
         blues[warp][place] = make_float2(0.0f, __int_as_float(-1));
+#if defined(WITH_DEPTHS)
+        distances[warp][place] = 0.0f;
+        leans[warp][place] = make_float2(0.0f, 0.0f);
+#endif
     }
     filled += missing;
     __syncwarp();
@@ -50,7 +74,12 @@ for (int base = begin; base < end; base += 32)
             float raised;
             asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(raised) : "f"(power));
             const float alpha = power >= -7.994353437f && T > stop ? fminf(raised, 0.999f) : 0.0f;
-            const float lit = shape.z * gx + shape.w * gy + blues[warp][head + k].x * gz, weight = alpha * T;
+            const float weight = alpha * T;
+            float lit = shape.z * gx + shape.w * gy + blues[warp][head + k].x * gz;
+#if defined(WITH_DEPTHS)
+            const float2 lean = leans[warp][head + k];
+            lit += solid + far * (distances[warp][head + k] + lean.x * dx + lean.y * dy);
+#endif
             behind -= weight * lit;
             const float q = alpha * (T * lit - __fdividef(behind, 1.0f - alpha));
             T -= weight;
@@ -62,6 +91,9 @@ for (int base = begin; base < end; base += 32)
         const float2 shape = make_float2(shapes[warp][own].x, shapes[warp][own].y);
         const float dx = left - place.x, dy = top + (float)line - place.y;
         float m0 = 0.0f, m1 = 0.0f, m2 = 0.0f, v6 = 0.0f, v7 = 0.0f, last = 0.0f;
+#if defined(WITH_DEPTHS)
+        float d0 = 0.0f, d1 = 0.0f;
+#endif
 #pragma unroll
         for (int i = 0; i < 8; ++i)
         {
@@ -73,6 +105,11 @@ for (int base = begin; base < end; base += 32)
             v6 += pair.y * rg.x;
             v7 += pair.y * rg.y;
             last += pair.y * blue_slope_of[warp][from];
+#if defined(WITH_DEPTHS)
+            const float by_depth = pair.y * far_slope_of[warp][from];
+            d0 += by_depth;
+            d1 += (float)i * by_depth;
+#endif
         }
         // w is w0 + i l_0 at the i-th pixel, dx + i away
         const float w0 = place.w * dx + shape.x * dy;
@@ -88,6 +125,15 @@ for (int base = begin; base < end; base += 32)
         const float b1 = (odd ? a3 : a1) + __shfl_xor_sync(0xffffffffu, odd ? a1 : a3, 1);
         last += __shfl_xor_sync(0xffffffffu, last, 2);
         last += __shfl_xor_sync(0xffffffffu, last, 1);
+#if defined(WITH_DEPTHS)
+        float along = dx * d0 + d1, down = dy * d0;
+        for (int reach = 2; reach > 0; reach >>= 1)
+        {
+            d0 += __shfl_xor_sync(0xffffffffu, d0, reach);
+            along += __shfl_xor_sync(0xffffffffu, along, reach);
+            down += __shfl_xor_sync(0xffffffffu, down, reach);
+        }
+#endif
         __syncwarp();
         // sums that lie beside each other are added together
         float* joined = reinterpret_cast<float*>(kept[warp]);
@@ -95,6 +141,10 @@ for (int base = begin; base < end; base += 32)
         joined[9 * (lane >> 2) + 2 * line + 1] = b1;
         if (line == 0)
             joined[9 * (lane >> 2) + 8] = last;
+#if defined(WITH_DEPTHS)
+        if (line < 3)
+            joined[9 * GROUP + 3 * (lane >> 2) + line] = line == 0 ? d0 : line == 1 ? along : down;
+#endif
         __syncwarp();
         for (int i = lane; i < 9 * GROUP; i += 32)
         {
@@ -102,6 +152,14 @@ for (int base = begin; base < end; base += 32)
             if (number >= 0)
                 atomicAdd(sum_of + 9 * (size_t)number + i % 9, joined[i]);
         }
+#if defined(WITH_DEPTHS)
+        if (lane < 3 * GROUP)
+        {
+            const int number = __float_as_int(blues[warp][head + lane / 3].y);
+            if (number >= 0)
+                atomicAdd(depths_of + 3 * (size_t)number + lane % 3, joined[9 * GROUP + lane]);
+        }
+#endif
         __syncwarp();
         head = head + GROUP < QUEUE ? head + GROUP : 0;
     }

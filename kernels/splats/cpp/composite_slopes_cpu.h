@@ -8,6 +8,10 @@ const int width = tiles.width - x0 < 16 ? tiles.width - x0 : 16;
 const int height = tiles.height - y0 < 16 ? tiles.height - y0 : 16;
 const float* colors = reinterpret_cast<const float*>(rgb.data);
 const float* given = reinterpret_cast<const float*>(slopes.data);
+#if defined(WITH_DEPTHS)
+lanes solid[16][2], far[16][2];
+const float* beside = reinterpret_cast<const float*>(others.data);
+#endif
 unsigned alive = 0xffffffffu;
 for (int y = 0; y < 16; ++y)
     for (int x = 0; x < 16; ++x)
@@ -22,6 +26,11 @@ for (int y = 0; y < 16; ++y)
             slope[c][y][part][lane] = g;
             rest += there ? g * colors[at + c] : 0.0f;
         }
+#if defined(WITH_DEPTHS)
+        solid[y][part][lane] = there ? beside[at] : 0.0f;
+        far[y][part][lane] = there ? beside[at + 1] : 0.0f;
+        rest += there ? beside[at + 2] : 0.0f;
+#endif
         behind[y][part][lane] = rest;
         left[y][part][lane] = there ? 1.0f : 0.0f;
     }
@@ -32,12 +41,22 @@ for (int e = begin; e < end; ++e)
     lanes found[9];
     for (int i = 0; i < 9; ++i)
         found[i] = (lanes)0.0f;
+#if defined(WITH_DEPTHS)
+    lanes depths[3] = {(lanes)0.0f, (lanes)0.0f, (lanes)0.0f};
+#endif
     for (; parts; parts &= parts - 1u)
     {
 #include "tile_raised.h"
         const lanes weight = alpha * left[y][part];
         const lanes gx = slope[0][y][part], gy = slope[1][y][part], gz = slope[2][y][part];
-        const lanes lit = gx * p[6] + gy * p[7] + gz * p[8];
+        lanes lit = gx * p[6] + gy * p[7] + gz * p[8];
+#if defined(WITH_DEPTHS)
+        lit += solid[y][part] + far[y][part] * (p[9] + p[11] * dy + p[10] * dx);
+        const lanes by_depth = weight * far[y][part];
+        depths[0] += by_depth;
+        depths[1] += by_depth * dx;
+        depths[2] += by_depth * dy;
+#endif
         behind[y][part] -= weight * lit;
         lanes q = alpha * (left[y][part] * lit - behind[y][part] / (1.0f - alpha));
         q = raised < 0.999f ? q : (lanes)0.0f;
@@ -70,6 +89,16 @@ for (int e = begin; e < end; ++e)
     for (int lane = 0; lane < 8; ++lane)
         last += found[8][lane];
     row[8] = last;
+#if defined(WITH_DEPTHS)
+    float* row_of_depths = reinterpret_cast<float*>(entry_depths.data) + 3 * (size_t)sources.data[e];
+    for (int i = 0; i < 3; ++i)
+    {
+        float total = 0.0f;
+        for (int lane = 0; lane < 8; ++lane)
+            total += depths[i][lane];
+        row_of_depths[i] = total;
+    }
+#endif
 }
 }
 #endif

@@ -75,7 +75,7 @@ class TrainingView(SplatGradients):
         """Colours (h * w,) on black, opacities (h * w,), and the view (3 n,) of the first `count` splats."""
         seen = self._project(splats, lens, count, project.project_by_lens)
         total = self._count(self.grid, *seen)
-        rgb, alpha = self._draw_entries(self.grid, seen, total, wp.vec3())
+        rgb, alpha, _ = self._draw_entries(self.grid, seen, total, wp.vec3())
         return rgb, alpha, seen[1]
 
     def _count(self, grid: Any, count: int, view: wp.array, depths: wp.array, order: wp.array) -> int:

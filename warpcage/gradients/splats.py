@@ -1,0 +1,106 @@
+"""Gradient of a frame of posed splats by the posed cage, by the camera, and by the splats at rest."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.arrays import empty_array
+from ..core.devices import launch
+from ..deform.deformer import Deformer
+from ..deform.splat_edits import SplatEdits
+from ..errors import InputError
+from ..field.render import RenderOptions
+from ..kernels.fitting.cameras import CAMERA_NUMBERS
+from ..kernels.gradients.splat_pose import CarriedSlopes, propagate_pose, weigh_pixels
+from ..kernels.splats.project_slopes import SplatValues
+from ..splats.fit import VALUE_TYPES, SplatGradients, SplatParameters
+from ..splats.render import IMAGE_BLUR, PROJECT_WORK, splat_lens
+from ..splats.splat_field import SplatField
+from ..view.camera import Camera
+from .loss import FrameGradient, column_sums
+
+
+def splat_gradient(
+    deformer: Deformer[SplatField],
+    camera: Camera,
+    loss: dict[str, wp.array],  # of `frame_loss`
+    background: Any,
+    *,
+    by_vertices: bool,
+    by_camera: bool,
+    by_field: bool,
+) -> FrameGradient:
+    """See `frame_gradient`."""
+    field, device = deformer.field, deformer.device
+    edits: Any = deformer.posed_edits()
+    assert isinstance(edits, SplatEdits) and deformer.deformed is not None
+    _require_one_way(deformer, edits)
+    cage: Any = deformer.deformed[0]
+    cage = cage.refined(deformer._backend.cells)
+    at_rest = edits.posed is field.splats
+    if at_rest:  # whose frame is the field's own: the same splats, in pieces and shares
+        edits.carry([cage])
+    try:
+        splats = edits.posed
+        if by_field and edits.is_split:
+            raise InputError(
+                "by_field is of splats that a pose draws whole, some are drawn in pieces here: give a field of smaller "
+                "splats, or a pose that bends them less"
+            )
+        lens = splat_lens(camera, field.center, field.near, IMAGE_BLUR, field.antialias)
+        color = RenderOptions(background=background).color(np.asarray(field.background, np.float32))
+        renderer = SplatGradients(device)
+        drawn = renderer.draw_splats(splats, camera, lens, wp.vec3(*map(float, color)), "depth" in loss)
+        sums = _picture_sums(renderer, loss, *drawn)
+        count = splats.centers.size
+        carried = CarriedSlopes()
+        carried.positions, carried.jacobians = empty_array(count, wp.vec3, device), empty_array(count, wp.mat33, device)
+        rays = empty_array((count if by_camera else 0, int(CAMERA_NUMBERS)), wp.float32, device)
+        parameters = SplatParameters(field) if by_field else None
+        inputs = [edits.law, splats, lens, renderer.view, *sums, edits.covariances, edits.opacities, edits.carried]
+        for name in ("log_scales", "quaternions"):
+            none = empty_array(0, VALUE_TYPES[name], device)
+            inputs.append(none if parameters is None else parameters.by_rows(name, parameters.values))
+        outputs = [carried, rays, SplatValues() if parameters is None else parameters.value_slopes]
+        threads = 1 if by_field else None  # rows of the file are shared
+        launch(propagate_pose, count, inputs, outputs, device=device, threads=threads, work=4 * PROJECT_WORK)
+        found: dict[str, Any] = {}
+        if by_vertices:
+            bound = edits.bound[0]
+            members, others, _, offsets = bound.carriers
+            found["vertices"] = bound.binding.vertex_gradient(cage, members, others, offsets, carried)
+        if by_camera:
+            found["camera"] = column_sums(rays)
+        if parameters is not None:
+            found |= parameters.slopes | {"logits": parameters.slopes["logits"].flatten()}
+        return FrameGradient(**found)
+    finally:
+        if at_rest:
+            edits.posed = field.splats
+
+
+def _require_one_way(deformer: Deformer[SplatField], edits: SplatEdits) -> None:
+    """Refuse edits that no gradient is of."""
+    if len(deformer.edits) != 1 or deformer.edits[0].remove or deformer.edits[0].falloff:
+        raise InputError("a frame's gradient is of one edit that moves or copies, without falloff and fragments")
+    if any(each is not None for each in edits.maps):
+        raise InputError('a frame\'s gradient is of splats that move forward: leave map="backward" out')
+
+
+def _picture_sums(
+    renderer: SplatGradients, loss: dict[str, wp.array], rgb: wp.array, alpha: wp.array, depth: wp.array
+) -> tuple[wp.array, wp.array]:
+    """Sums of the splats drawn last, (9 n,), and (3 n,) by depths or (0,)."""
+    device, none = renderer.device, empty_array(0, wp.float32, renderer.device)
+    by_rgb = loss.get("rgb")
+    if by_rgb is None:
+        by_rgb = wp.zeros(rgb.size, dtype=wp.vec3, device=device)
+    if not {"alpha", "depth"} & loss.keys():
+        return renderer.sum_slopes(by_rgb), none
+    others = empty_array(rgb.size, wp.vec3, device)
+    inputs = [loss.get("alpha", none), loss.get("depth", none), alpha, depth]
+    launch(weigh_pixels, rgb.size, inputs, [others], device=device)
+    return renderer.sum_depth_slopes(by_rgb, others)
