@@ -87,8 +87,8 @@ class Backend(abc.ABC, Generic[FieldT, EditsT]):
 
     def __init__(self, field: FieldT, edits: list[CageEdit], options: MapOptions, progress: bool | Progress = False):
         self.field, self.edits, self.device, self.options = field, edits, field.device, options
-        self.cells = coordinate_kind(options.coordinates).face_cells
-        self.surfaces = [refined_edit(edit, self.cells) for edit in edits]  # which are computed on
+        self._cells = coordinate_kind(options.coordinates).face_cells
+        self.surfaces = [refined_edit(edit, self._cells) for edit in edits]  # which are computed on
         self._held: Cages | None = None  # the pose that is in the buffers
         self._spans: list[float] = []  # of its cages
         self._order = StreamOrder(self.device)
@@ -126,7 +126,7 @@ class Backend(abc.ABC, Generic[FieldT, EditsT]):
 
     def surface(self, cage: Cage | None) -> Cage | None:
         """The triangles of a posed cage that are computed on."""
-        return None if cage is None else cage.refined(self.cells)
+        return None if cage is None else cage.refined(self._cells)
 
     @classmethod
     def check_view(cls, options: RenderOptions) -> None:

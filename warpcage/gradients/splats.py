@@ -38,8 +38,7 @@ def splat_gradient(
     edits: Any = deformer.posed_edits()
     assert isinstance(edits, SplatEdits) and deformer.deformed is not None
     _require_one_way(deformer, edits)
-    cage: Any = deformer.deformed[0]
-    cage = cage.refined(deformer._backend.cells)
+    cage: Any = deformer._backend.surface(deformer.deformed[0])
     at_rest = edits.posed is field.splats
     if at_rest:  # whose frame is the field's own: the same splats, in pieces and shares
         edits.carry([cage])
