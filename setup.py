@@ -29,6 +29,10 @@ TEXTURE = [
 ]
 COMPLETION = ["argcomplete>=3.1"]  # words of commands in the shell, after Tab
 
+TORCH = ["torch>=2.6"]  # warpcage.torch: from there on compiled functions hold objects for constants
+
+JAX = ["jax>=0.5"]  # warpcage.jax: Warp calls Python from it
+
 CLUSTER = ["ray>=2.40"]  # clusters of `warpcage run`: the core alone, without ray[default]
 
 #: What the programs of warpcage.studio want beside the library: the editor, captures, completion. Clusters stay apart.
@@ -130,6 +134,8 @@ setup(
         "texture": TEXTURE,
         "capture": CAPTURE,
         "cluster": CLUSTER,
+        "torch": TORCH,
+        "jax": JAX,
         "completion": COMPLETION,
         "docs": DOCS,
         "test": TEST,

@@ -29,6 +29,7 @@ from warpcage.coordinates import coordinates_vjp, deform_points_vjp
 from warpcage.core import COORDINATES, launch, limit_threads
 from warpcage.fitting.splats import PictureLoss
 from warpcage.gradients import frame_gradient
+from warpcage.interop import canonical_points_vjp
 from warpcage.kernels.coordinates.green import map_green
 from warpcage.lattice import HarmonicSolver, PoseGraph
 from warpcage.mesh import prepared_fans
@@ -217,6 +218,9 @@ def frames(device) -> None:
     warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE).render(camera(), supersampling=2)
     deformer = warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE)
     frame_gradient(deformer, camera(), np.ones((16, 16, 3)), by_camera=True, by_field=True)
+    given = [wp.array(each, dtype=wp.vec3, device=device) for each in (POINTS, np.ones((64, 3)))]
+    region = deformer.to_canonical(*given)[2]
+    canonical_points_vjp(deformer, *given, region, (given[0], given[1]), by_vertices=True)
     asked = warpcage.SampledField(field.sample, field.bounds, step=0.1, device=device)
     warpcage.Deformer(asked, CAGE, resolution=12, device=device).pose(POSE).render(camera())
     warpcage.Deformer(field, slotted(0.5), resolution=16, device=device).pose(slotted(0.03)).render(camera())

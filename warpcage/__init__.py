@@ -64,8 +64,8 @@ _HOMES = {
 }
 
 _PACKAGES = (
-    "cage coordinates core deform demo edits examples field fitting gradients kernels lattice mesh render scene "
-    "select splats studio view"
+    "cage coordinates core deform demo edits examples field fitting gradients interop jax kernels lattice mesh render "
+    "scene select splats studio torch view"
 ).split()
 
 __getattr__, __dir__, __all__ = lazy_exports(__name__, _HOMES, _PACKAGES)  # pyright: ignore[reportUnsupportedDunderAll]

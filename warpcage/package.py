@@ -139,9 +139,9 @@ def _is_copied(package: str, module: str) -> bool:
     return os.path.isfile(f"{base}.py") or os.path.isfile(os.path.join(base, "__init__.py"))
 
 
-def lazy_exports(package: str, homes: dict, packages: list | tuple = ()) -> tuple:
+def lazy_exports(package: str, homes: dict, packages: list | tuple = (), extra: str = "") -> tuple:
     """`__getattr__`, `__dir__` and `__all__` of a package. homes: names by module, in a list or between
-    spaces; packages: modules that are names themselves."""
+    spaces; packages: modules that are names themselves; extra: a dependency that not all installations have."""
     modules = {}
     for module, names in homes.items():
         if IS_WHOLE or _is_copied(package, module):
@@ -152,7 +152,14 @@ def lazy_exports(package: str, homes: dict, packages: list | tuple = ()) -> tupl
             raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name)
         from importlib import import_module
 
-        found = import_module(f".{modules.get(name, name)}", package)
+        try:
+            found = import_module(f".{modules.get(name, name)}", package)
+        except ModuleNotFoundError as error:
+            if not extra or error.name != extra:
+                raise
+            from .core.names import extra_line
+
+            raise ImportError(f"{package} needs {extra}: {extra_line(extra)}") from error
         if name in modules:
             found = getattr(found, name)
         setattr(sys.modules[package], name, found)  # the next time Python finds it by itself

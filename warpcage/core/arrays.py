@@ -26,6 +26,10 @@ DLPACK_CPU = 1
 _ROOT = __name__.removesuffix("core.arrays")  # "warpcage.", and another in copies of this module
 
 
+#: Where gradients pass, by the name of the library that asks for one.
+PASSING = "functions of warpcage.{}, such as deform_points, to_canonical and render, pass one"
+
+
 class DLPackArray(Protocol):
     """An array of another library (torch, CuPy, JAX) that exports its memory."""
 
@@ -204,7 +208,7 @@ def require_no_gradient(points: Any, name: str) -> None:
     else:
         torch = sys.modules.get("torch")
         recorded = bool(getattr(points, "requires_grad", False)) and (torch is None or torch.is_grad_enabled())
-        remedy = f"give {name}.detach(), or call it under torch.no_grad()"
+        remedy = f"{PASSING.format('torch')}; else give {name}.detach(), or call it under torch.no_grad()"
     if recorded:
         raise InputError(f"no gradient passes from here to {name}, which require one: {remedy}")
 
@@ -297,7 +301,9 @@ def _from_foreign(array: Any, name: str) -> wp.array:
 
 def _unreadable(array: Any, name: str, error: Exception) -> InputError:
     """The refusal of an array whose library does not export its memory."""
-    return InputError(f"{name} of type {type(array).__name__} could not be read through DLPack: {error_line(error)}")
+    kind = type(array).__name__
+    reason = PASSING.format("jax") if kind.endswith("Tracer") else error_line(error)
+    return InputError(f"{name} of type {kind} could not be read through DLPack: {reason}")
 
 
 def array_view(

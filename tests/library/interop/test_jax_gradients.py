@@ -1,0 +1,107 @@
+"""Gradients of JAX through points and weights, beside central differences and the package's own functions."""
+
+import numpy as np
+import pytest
+
+import warpcage
+from warpcage import Cage
+
+jax = pytest.importorskip("jax", reason="JAX is not installed: pip install 'warpcage[jax]'")
+from warpcage import jax as passing
+
+CAGE = Cage.icosphere((0.2, -0.1, 0.3), 1.3, 1)
+POSE = CAGE.twist(40)
+STEP = 3e-3
+
+
+def given(*others):
+    """Points in the cage, and other arrays, as JAX takes them."""
+    points = 0.2 + np.random.default_rng(1).uniform(-0.4, 0.4, (6, 3))
+    return [jax.numpy.asarray(each, dtype="float32") for each in (points, *others)]
+
+
+def check_differences(loss, arrays, share=2e-3):
+    """Whether gradients under jit say how a loss changes, as each of its arrays moves at random."""
+    random = np.random.default_rng(2)
+    gradients = jax.jit(jax.grad(loss, argnums=tuple(range(len(arrays)))))(*arrays)
+    plain = jax.jit(loss)
+    for number, gradient in enumerate(gradients):
+        along = random.normal(size=gradient.shape).astype(np.float32)
+        ends = []
+        for side in (STEP, -STEP):
+            moved = [each + side * along if n == number else each for n, each in enumerate(arrays)]
+            ends.append(float(plain(*moved)))
+        products = np.asarray(gradient, float) * along
+        assert abs(products.sum() - (ends[0] - ends[1]) / (2 * STEP)) < share * np.sqrt((products**2).sum())
+
+
+@pytest.mark.parametrize("kind", ["mean_value", "green"])
+def test_moved_points_pass_gradients_to_points_pose_and_cage(kind):
+    arrays = given(POSE.vertices, CAGE.vertices)
+    slopes = np.random.default_rng(3).normal(size=(6, 3)).astype(np.float32)
+
+    def loss(points, pose, rest):
+        return (slopes * passing.deform_points(2.0 * points - points, CAGE, pose, kind, rest_vertices=rest)).sum()
+
+    expected = warpcage.deform_points(np.asarray(arrays[0]), CAGE, np.asarray(arrays[1]), kind)
+    for pose in (arrays[1], POSE):
+        np.testing.assert_allclose(passing.deform_points(arrays[0], CAGE, pose, kind), expected, atol=1e-6)
+    check_differences(loss, arrays)
+
+
+def test_harmonic_points_pass_gradients_to_the_pose():
+    """They are linear in it: the gradient is that by the weights."""
+    cage = Cage.box([-0.9, -0.8, -0.7], [0.9, 1.0, 1.1])
+    points, pose = given(cage.twist(20).vertices)
+    slopes = np.random.default_rng(3).normal(size=(6, 3)).astype(np.float32)
+    found = jax.grad(lambda pose: (slopes * passing.deform_points(points, cage, pose, "harmonic")).sum())(pose)
+    expected = warpcage.harmonic_coordinates(np.asarray(points), cage).T @ slopes
+    assert np.linalg.norm(found - expected) < 5e-3 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("name", ["mean_value_coordinates", "green_coordinates"])
+def test_weights_pass_gradients_to_points_and_cage(name):
+    arrays = given(CAGE.vertices)
+
+    def weights(points, vertices):
+        found = getattr(passing, name)(points, CAGE, vertices=vertices)
+        return found if isinstance(found, tuple) else (found,)
+
+    expected = getattr(warpcage, name)(np.asarray(arrays[0]), CAGE)
+    expected = expected if isinstance(expected, tuple) else (expected,)
+    random = np.random.default_rng(4)
+    for found, plain in zip(weights(*arrays), expected, strict=True):
+        np.testing.assert_allclose(found, plain, atol=1e-6)
+    slopes = [random.normal(size=each.shape).astype(np.float32) for each in expected]
+    check_differences(lambda *each: sum((a * b).sum() for a, b in zip(slopes, weights(*each), strict=True)), arrays)
+
+
+def test_a_traced_function_is_called_again():
+    """One trace, other values: a chain of two calls, and a loop of XLA around it."""
+    points, pose = given(POSE.vertices)
+    traced = []
+
+    @jax.jit
+    def twice(points, pose):
+        traced.append(1)
+        return jax.lax.fori_loop(0, 2, lambda _, x: passing.deform_points(x, CAGE, pose), points)
+
+    for factor in (1.0, 1.1):
+        moved = np.asarray(points)
+        for _ in range(2):
+            moved = warpcage.deform_points(moved, CAGE, np.asarray(factor * pose))
+        np.testing.assert_allclose(twice(points, factor * pose), moved, atol=1e-5)
+    assert len(traced) == 1
+
+
+def test_what_is_wrong_is_told_in_its_line(capfd):
+    points, pose = given(POSE.vertices)
+    with pytest.raises(ValueError, match=r"points must be \(n, 3\), got \(6, 2\)"):
+        passing.deform_points(points[:, :2], CAGE, pose)
+    with pytest.raises(ValueError, match="outside must be one of"):
+        passing.deform_points(points, CAGE, pose, outside="away")
+    with pytest.raises((ValueError, jax.errors.JaxRuntimeError), match="6 of 6 points are outside the cage"):
+        passing.deform_points(points + 10, CAGE, pose, "green").block_until_ready()
+    slopes = jax.grad(lambda points: warpcage.deform_points(points, CAGE, POSE).sum())
+    with pytest.raises(ValueError, match="functions of warpcage.jax"):
+        slopes(points)

@@ -1,0 +1,11 @@
+"""What warpcage.torch and warpcage.jax share: objects by numbers, poses, and the backward passes of a Deformer."""
+
+from ..package import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "numbers": "number_of object_of weight_counts",
+        "posed": "camera_number_gradient canonical_points_vjp posed_as posed_vertices turned_camera",
+    },
+)

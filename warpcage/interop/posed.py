@@ -1,0 +1,130 @@
+"""A Deformer in a pose given as an array: canonical points and frames of it, and what they pass back."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import weakref
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..cage.cage import Cage
+from ..core.arrays import as_points, empty_array
+from ..core.checks import checked_step
+from ..core.devices import launch
+from ..deform.deformer import Deformer
+from ..errors import InputError
+from ..kernels.edits.canonical_adjoint import propagate_canonical_points
+from ..render.scene import PosedScene
+from ..view.camera import Camera
+
+#: The last pose of each Deformer that was an array: to go back finds it in the buffers.
+_last: weakref.WeakKeyDictionary[Deformer[Any], list[Cage | None]] = weakref.WeakKeyDictionary()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CanonicalSlopes:
+    """Slopes of a number, Warp arrays of vec3 on the Deformer's device, per world unit."""
+
+    points: wp.array  # (n,)
+    directions: wp.array  # (n,)
+    vertices: wp.array | None = None  # (v,) of the posed cage
+
+
+def posed_vertices(deformer: Deformer[Any]) -> np.ndarray:
+    """The vertices (v, 3) float64 of a Deformer's last pose, which must be of one edit on a lattice."""
+    edits = deformer.edits
+    if len(edits) != 1 or edits[0].remove or edits[0].falloff or edits[0].fragments or deformer.resolution is None:
+        raise InputError(
+            "gradients are of a Deformer with a resolution and one edit that moves or copies, without falloff and "
+            "fragments"
+        )
+    cages = deformer.deformed
+    return (edits[0].cage if cages is None or cages[0] is None else cages[0]).vertices
+
+
+@contextlib.contextmanager
+def posed_as(deformer: Deformer[Any], vertices: np.ndarray) -> Iterator[None]:
+    """A Deformer of one edit in a pose (v, 3), locked; its own pose is there again behind."""
+    with deformer.lock:
+        before = deformer.deformed
+        if before is None or not _is_pose(before, vertices):
+            last = _last.get(deformer)
+            if last is not None and _is_pose(last, vertices):
+                deformer.deformed = last
+            else:
+                deformer.pose(vertices)
+                assert deformer.deformed is not None
+                _last[deformer] = deformer.deformed
+        try:
+            yield
+        finally:
+            deformer.deformed = before if before is not None else deformer.deformed
+
+
+def _is_pose(cages: list[Cage | None], vertices: np.ndarray) -> bool:
+    return cages[0] is not None and np.array_equal(cages[0].vertices, vertices)
+
+
+def canonical_points_vjp(
+    deformer: Deformer[Any],
+    points: Any,
+    directions: Any,
+    region: wp.array[Any],
+    slopes: tuple[Any, Any],
+    step: float | None = None,
+    *,
+    by_vertices: bool = False,
+) -> CanonicalSlopes:
+    """Slopes of a number by what `Deformer.to_canonical` takes in the last pose, from those (n, 3) by the points and
+    directions that it returns. region: (n,) int32, as it returned it."""
+    # Arrays of any library; `posed_vertices` refuses other edits. What was not moved passes slopes on as they are.
+    with deformer.lock:
+        scene, device, field = deformer.posed_edits(), deformer.device, deformer.field
+        assert isinstance(scene, PosedScene)
+        position_map = scene.lattices.maps[0]
+        assert position_map is not None
+        x, d = as_points(points, device), as_points(directions, device, name="directions")
+        given = [as_points(each, device, name="slopes") for each in slopes]
+        found = [empty_array(len(x), wp.vec3, device) for _ in range(2)]
+        shape = position_map.data.positions.shape if by_vertices else (0, 0, 0)
+        nodes = wp.zeros(shape, dtype=wp.vec3, device=device)
+        inputs = [scene.array, wp.vec3(*field.center), x, d, checked_step(step, field.step), region, *given]
+        launch(
+            propagate_canonical_points,
+            len(x),
+            inputs,
+            [*found, nodes],
+            device=device,
+            threads=1 if by_vertices else None,
+            work=4 * scene.sample_work,
+        )
+        vertices = position_map.vertex_gradient(nodes)[0] if by_vertices else None
+        return CanonicalSlopes(found[0], found[1], vertices)
+
+
+def turned_camera(camera: Camera, numbers: np.ndarray) -> Camera:
+    """A camera changed by seven numbers: turns about its axes, radians; shifts along them; log of its focal length."""
+    from scipy.spatial.transform import Rotation
+
+    pose, factor = camera.camera_to_world.copy(), float(np.exp(numbers[6]))
+    pose[:3, 3] += pose[:3, :3] @ numbers[3:6]
+    pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(numbers[:3]).as_matrix()
+    return dataclasses.replace(camera, camera_to_world=pose, fx=camera.fx * factor, fy=camera.fy * factor)
+
+
+def camera_number_gradient(numbers: np.ndarray, by_turned: np.ndarray) -> np.ndarray:
+    """The gradient (7,) by the numbers of `turned_camera`, from that by the numbers of the camera that it returns."""
+    from scipy.spatial.transform import Rotation
+
+    # R exp(n + dn) = R exp(n) exp(J dn) with the right Jacobian J of rotations (Sola et al. 2018, eq. 143)
+    turn, rotation = numbers[:3], Rotation.from_rotvec(numbers[:3]).as_matrix()
+    angle, cross = float(np.linalg.norm(turn)), np.cross(turn, np.eye(3)).T  # cross @ v = turn x v
+    jacobian = np.eye(3) - 0.5 * cross
+    if angle > 1e-4:
+        first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+        jacobian = np.eye(3) - first * cross + second * cross @ cross
+    return np.concatenate([jacobian.T @ by_turned[:3], rotation @ by_turned[3:6], by_turned[6:]])
