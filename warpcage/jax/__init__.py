@@ -3,5 +3,7 @@
 from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
-    __name__, {"coordinates": "deform_points green_coordinates mean_value_coordinates"}, extra="jax"
+    __name__,
+    {"coordinates": "deform_points green_coordinates mean_value_coordinates", "posed": "to_canonical"},
+    extra="jax",
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -13,8 +14,9 @@ from ..core.arrays import as_points
 from ..errors import InputError
 
 
-def called(function: Callable[..., None], outputs: int) -> Any:
-    """A function of Warp arrays and whole numbers, the last ones its outputs, as JAX calls it, on CPU and CUDA."""
+@functools.cache
+def call(function: Callable[..., None], outputs: int) -> Any:
+    """A function of Warp arrays and numbers, the last ones its outputs, as XLA calls it, on CPU and CUDA."""
     # All is launched on XLA's stream. Nothing is captured, as poses are read on the host.
     return wp.jax_callable(function, num_outputs=outputs, graph_mode=wp.JaxCallableGraphMode.NONE)
 

@@ -14,7 +14,7 @@ from ..coordinates.vjp import coordinates_vjp, deform_points_vjp
 from ..core.names import OUTSIDE, POINT_COORDINATES, checked_choice, coordinate_kind
 from ..interop.numbers import number_of, object_of, weight_counts
 from ..mesh.mesh import ClosedMesh
-from .calls import called, float_rows, host, write
+from .calls import call, float_rows, host, write
 
 #: What XLA passes on as whole numbers.
 KIND_NAMES, WAYS = list(COORDINATE_KINDS), [*OUTSIDE, None]
@@ -148,7 +148,7 @@ def _move_vjp(
 @functools.partial(jax.custom_vjp, nondiff_argnums=(3,))
 @functools.partial(jax.jit, static_argnums=3)
 def _moved(points: Any, rest_vertices: Any, vertices: Any, options: tuple[int, int, int]) -> Any:
-    return _call(_move, 1)(points, rest_vertices, vertices, *options)[0]
+    return call(_move, 1)(points, rest_vertices, vertices, *options)[0]
 
 
 def _keep_moved(points: Any, rest_vertices: Any, vertices: Any, options: tuple[int, int, int]) -> Any:
@@ -158,7 +158,7 @@ def _keep_moved(points: Any, rest_vertices: Any, vertices: Any, options: tuple[i
 @functools.partial(jax.jit, static_argnums=0)
 def _propagate_moved(options: tuple[int, int, int], kept: Any, slopes: Any) -> Any:
     shapes = dict(zip(("by_points", "by_rest", "by_pose"), (len(each) for each in kept), strict=True))
-    return tuple(_call(_move_vjp, 3)(*kept, slopes, *options, output_dims=shapes))
+    return tuple(call(_move_vjp, 3)(*kept, slopes, *options, output_dims=shapes))
 
 
 _moved.defvjp(_keep_moved, _propagate_moved)
@@ -228,8 +228,8 @@ def _write_weight_slopes(points: Any, vertices: Any, slopes: Any, options: tuple
 def _weights(points: Any, vertices: Any, options: tuple[int, int, int]) -> Any:
     counts = weight_counts(object_of(options[0], ClosedMesh), KIND_NAMES[options[1]])
     shapes = {"weights": (len(points), counts[0]), "of_faces": (len(points), counts[1])}
-    call = _call(_weigh_green, 2) if counts[1] else _call(_weigh, 1)
-    return tuple(call(points, vertices, *options, output_dims=shapes))
+    weigh = call(_weigh_green, 2) if counts[1] else call(_weigh, 1)
+    return tuple(weigh(points, vertices, *options, output_dims=shapes))
 
 
 def _keep_weights(points: Any, vertices: Any, options: tuple[int, int, int]) -> Any:
@@ -239,14 +239,8 @@ def _keep_weights(points: Any, vertices: Any, options: tuple[int, int, int]) -> 
 @functools.partial(jax.jit, static_argnums=0)
 def _propagate_weights(options: tuple[int, int, int], kept: Any, slopes: Any) -> Any:
     shapes = {"by_points": len(kept[0]), "by_cage": len(kept[1])}
-    call = _call(_weigh_green_vjp if len(slopes) > 1 else _weigh_vjp, 2)
-    return tuple(call(*kept, *slopes, *options, output_dims=shapes))
+    weigh = call(_weigh_green_vjp if len(slopes) > 1 else _weigh_vjp, 2)
+    return tuple(weigh(*kept, *slopes, *options, output_dims=shapes))
 
 
 _weights.defvjp(_keep_weights, _propagate_weights)
-
-
-@functools.cache
-def _call(function: Any, outputs: int) -> Any:
-    """The call of XLA of a function, registered when it is first used."""
-    return called(function, outputs)

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from fields import BOX, rotation, shiny_field
+from refusals import refused
 
 import warpcage
-from warpcage import Cage
+from warpcage import Cage, Deformer
 
 jax = pytest.importorskip("jax", reason="JAX is not installed: pip install 'warpcage[jax]'")
 from warpcage import jax as passing
@@ -105,3 +107,37 @@ def test_what_is_wrong_is_told_in_its_line(capfd):
     slopes = jax.grad(lambda points: warpcage.deform_points(points, CAGE, POSE).sum())
     with pytest.raises(ValueError, match="functions of warpcage.jax"):
         slopes(points)
+
+
+def test_a_rigid_pose_turns_gradients_of_canonical_points():
+    """phi(x) = R^T (x - t), so that slopes come back turned; points that are not moved pass them on."""
+    turn, shift = rotation(35, 20), np.array([0.1, -0.05, 0.2])
+    deformer = Deformer(shiny_field("cpu"), BOX, coordinates="mean_value", resolution=32, device="cpu")
+    random = np.random.default_rng(5)
+    points, directions, vertices, by_points, by_directions = (
+        jax.numpy.asarray(each, dtype="float32")
+        for each in (
+            random.uniform(-0.45, 0.45, (300, 3)),
+            random.normal(size=(300, 3)),
+            BOX.vertices @ turn.T + shift,
+            *random.normal(size=(2, 300, 3)),
+        )
+    )
+
+    def loss(points, directions, vertices):
+        canonical, along, region = passing.to_canonical(deformer, points, directions, vertices)
+        return (canonical * by_points + along * by_directions).sum(), (canonical, along, region)
+
+    gradients, found = jax.jit(jax.grad(loss, argnums=(0, 1, 2), has_aux=True))(points, directions, vertices)
+    plain = deformer.posed(np.asarray(vertices)).to_canonical(np.asarray(points), np.asarray(directions))
+    for one, other in zip(found, plain, strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-6)
+    mapped = (plain[2] == 2)[:, None]
+    assert 100 < mapped.sum() < 300
+    length = np.linalg.norm(directions, axis=1, keepdims=True)
+    unit, turned = directions / length, by_directions @ turn.T
+    turned = (turned - (turned * unit).sum(axis=1, keepdims=True) * unit) / length
+    np.testing.assert_allclose(gradients[0], np.where(mapped, by_points @ turn.T, by_points), atol=2e-3)
+    np.testing.assert_allclose(gradients[1], np.where(mapped, turned, by_directions), atol=2e-3)
+    np.testing.assert_allclose(gradients[2].sum(axis=0), -(mapped * (by_points @ turn.T)).sum(axis=0), atol=5e-2)
+    refused(lambda: passing.to_canonical(deformer, points, directions[:4], vertices), "as many directions")
