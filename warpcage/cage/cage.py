@@ -302,8 +302,8 @@ class Cage(PosableMesh):
                 along the mesh's principal axes (Xian, Lin and Gao 2009), whose faces are more even. "auto": the one of
                 the smaller volume.
             symmetry: "x", "y" or "z", the normal of a plane through the middle of the mesh about which the cage is its
-                own mirror image ("voxel" only). "auto" takes that across which 95 % of the mesh's image lie within 2 %
-                of its size of it, the best one, or none. None asks for no symmetry.
+                own mirror image, and which encloses that of the mesh too. "auto" takes that across which 95 % of the
+                mesh's image lie within 2 % of its size of it, the best one, or none. None asks for no symmetry.
             detail: "even": vertices lie evenly, and gaps narrower than about an edge are bridged. "parts": thin parts
                 get shorter edges, gaps and holes stay open as far as the count allows, so that limbs get tubes of
                 their own ("shell" only, which "auto" then takes). A warning says what had to be closed.

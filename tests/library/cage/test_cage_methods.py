@@ -63,11 +63,18 @@ def test_auto_takes_the_tighter_of_both(scene, caplog):
     assert np.array_equal(again.vertices, cages["voxel"].vertices)
 
 
-@pytest.mark.parametrize("axis", ["x", *(pytest.param(axis, marks=pytest.mark.nightly) for axis in "yz")])
-def test_a_symmetric_cage_is_its_own_mirror_image(axis):
+WAYS_ACROSS = [("x", {"method": "voxel"}), ("y", {"method": "shell"}), ("z", {"detail": "parts"})]
+ALL_ACROSS = [(axis, way) for axis in "xyz" for _, way in WAYS_ACROSS]
+
+
+@pytest.mark.parametrize(
+    ("axis", "options"),
+    [pytest.param(*case, marks=() if case in WAYS_ACROSS else pytest.mark.nightly) for case in ALL_ACROSS],
+)
+def test_a_symmetric_cage_is_its_own_mirror_image(axis, options):
     along = "xyz".index(axis)
     mesh = shapes()["L"]
-    cage = Cage.from_mesh(mesh, 90, symmetry=axis)
+    cage = Cage.from_mesh(mesh, 90, symmetry=axis, **options)
     clean(cage, 90)
     assert cage.check(mesh=mesh).mesh_enclosed == 1.0
     middle = mesh.bounds[:, along].mean()
@@ -115,9 +122,7 @@ def test_outer_surface_of_a_block_by_hand():
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
-    [({"method": "best"}, "method must be"), ({"symmetry": "w"}, "symmetry must be"),
-     ({"symmetry": "x", "method": "shell"}, "symmetry needs method")],
-)  # fmt: skip
+    ("options", "message"), [({"method": "best"}, "method must be"), ({"symmetry": "w"}, "symmetry must be")]
+)
 def test_refusals(options, message):
     refused(lambda: Cage.from_mesh(trimesh.creation.box(), 40, **options), match=message)

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 import trimesh
 from refusals import refused
+from skimage.measure import marching_cubes
 from test_cage_generation import winding
 
 from warpcage import Cage
 from warpcage.cage import EdgeCollapses, progressive_hull
 from warpcage.cage.generate import cage_around_mesh
+from warpcage.cage.generate.mirror import Mirror, joined_halves
+from warpcage.cage.generate.shell import decimated
 from warpcage.mesh import intersecting_faces
 
 
@@ -43,6 +46,34 @@ def test_a_box_keeps_its_corners_and_edges():
     box = surfaces()["box"]
     cage = Cage(*progressive_hull(box.vertices, box.faces, 60))
     assert cage.volume < 1.01 * box.volume and np.allclose(cage.bounds, box.bounds, atol=0.05)
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_halves_of_a_mirror_are_decimated_alike(apart):
+    """Outward, in pairs, down to a count that is odd too; what lies on the plane stays there."""
+    x, y, z = np.meshgrid(
+        np.linspace(-1.4, 1.4, 29), np.linspace(0.0, 0.4, 9), np.linspace(-1.4, 1.4, 29), indexing="ij"
+    )
+    values = (np.hypot(x, z) - 1.0) ** 2 + y * y - 0.087
+    half, faces, _, _ = marching_cubes(np.moveaxis(values, 0, 1), 0.0, spacing=(0.05, 0.1, 0.1))
+    plane = (0, 0.0)
+    fine = Cage(*joined_halves(*decimated(half.astype(float), faces.astype(int), 160), plane))
+    assert fine.volume == pytest.approx(2 * np.pi**2 * 0.087, rel=0.05)
+    fine.require_usable()
+    cage = Cage(*progressive_hull(fine.vertices, fine.faces, 81, apart=apart, mirror=Mirror.of(fine.vertices, plane)))
+    cage.require_usable()
+    assert len(cage.vertices) in (80, 81) and cage.topology.genus == 1
+    mirror = Mirror.of(cage.vertices, plane)
+    np.testing.assert_allclose(mirror(cage.vertices), cage.vertices, rtol=0, atol=1e-12)
+    assert (np.abs(cage.vertices[mirror.partner == np.arange(len(cage.vertices)), 0]) < 1e-12).all()
+    assert (
+        winding(
+            fine.vertices - 1e-3 * trimesh.Trimesh(fine.vertices, fine.faces, process=False).vertex_normals,
+            cage.vertices,
+            cage.faces,
+        )
+        > 0.99
+    ).all()
 
 
 def test_it_stops_where_no_collapse_is_left():

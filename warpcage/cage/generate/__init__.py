@@ -24,7 +24,8 @@ from .decimate import Sizing, progressive_hull
 from .distance import ObjectShell, ObjectVoxels, bounds_of
 from .fit import cleared, face_samples, row_sums
 from .focus import focused
-from .mirror import nearest_mirror
+from .mirror import nearest_mirror, reflected
+from .parts import symmetric_sizing
 from .quads import cut_across, quad_cage
 from .shell import NOT_CLEAR, decimated, flaw, shell_cage, strays
 from .voxel import voxel_cage
@@ -241,18 +242,11 @@ def _cage_around_points(
             f"symmetry must be 'x', 'y' or 'z', the normal of the mirror plane, 'auto' or None, got {symmetry!r}"
         )
     if symmetry == "auto":
-        even = method != "shell" and sizing is None and detail == "even"
-        symmetry = nearest_mirror(points, spacing) if even else None
+        symmetry = nearest_mirror(points, spacing)
         _log.info("symmetric about %s", symmetry or "no plane across an axis")
-    if symmetry is not None and sizing is not None:
-        raise InputError("symmetry needs method 'voxel', which is even: leave out symmetry or focus")
-    if symmetry is not None and method == "shell":
-        raise InputError("symmetry needs method 'voxel' (or 'auto', which takes it then), not 'shell'")
-    if detail == "parts" and (method == "voxel" or symmetry is not None):
-        raise InputError("detail 'parts' needs method 'shell' (or 'auto', which takes it then), without symmetry")
-    if method == "auto" and symmetry is not None:
-        method = "voxel"
-    elif method == "auto" and (detail == "parts" or sizing):
+    if detail == "parts" and method == "voxel":
+        raise InputError("detail 'parts' needs method 'shell' (or 'auto', which takes it then)")
+    if method == "auto" and (detail == "parts" or sizing):
         method = "shell"  # voxels are even
     if method != "auto":
         makers = {method: makers[method]}
@@ -264,12 +258,14 @@ def _cage_around_points(
     relative: Sizing = None if sizing is None else lambda x: sizing(middle + size * x)
     along = "xyz".index(symmetry) if symmetry else 0
     plane = (along, float(bounds_of(points)[:, along].mean())) if symmetry else None
-    voxels, names, strayed = ObjectVoxels(points, spacing, slack + margin), list(makers), {}
+    relative = symmetric_sizing(relative, plane) if plane else relative
+    enclosed = np.concatenate([points, reflected(points, *plane)]) if plane else points
+    voxels, names, strayed = ObjectVoxels(enclosed, spacing, slack + margin), list(makers), {}
 
     def made(name: str, progress: bool | Progress) -> ClosedMesh | str:
         """The cage of a method, or why there is none."""
         try:
-            cage = makers[name](voxels, vertex_count, symmetry, progress, relative)
+            cage = makers[name](voxels, vertex_count, plane, progress, relative)
             if options.faces == "quads":
                 cage = quad_cage(voxels, cage, plane)
             strayed[name] = strays(voxels, cage, relative)

@@ -10,15 +10,11 @@ import warp as wp
 from ...core.devices import launch
 from ...core.reports import Progress, report_progress
 from ...errors import InputError
-from ...kernels.mesh.collapses import INFINITE, CollapseRules, Planes, measure_collapses
+from ...kernels.mesh.collapses import INFINITE, MIN_NEIGHBORS, CollapseRules, Planes, measure_collapses
 from ...kernels.mesh.meetings import find_meeting_rings
 from ...mesh.faces import column_cross, column_dot
-
-
-def on_cpu(values: np.ndarray, dtype) -> wp.array:
-    """A Warp array of the same memory, where values are C-contiguous."""
-    return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
-
+from .distance import on_cpu
+from .mirror import Mirror, reflected
 
 #: Relative lengths (n,) of a cage's edges about points (n, 3), world units: any positive numbers, of which only ratios
 #: count. None for the same everywhere.
@@ -48,10 +44,17 @@ _NONE, _COLLAPSE_WORK = float(INFINITE), 64
 
 
 def progressive_hull(
-    vertices, faces, vertex_count: int, progress: bool | Progress = False, sizing: Sizing = None, apart: bool = False
+    vertices,
+    faces,
+    vertex_count: int,
+    progress: bool | Progress = False,
+    sizing: Sizing = None,
+    apart: bool = False,
+    mirror: Mirror | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a closed manifold surface around the one given, with `vertex_count` vertices
     or more where no collapse is left; `sizing`: where they lie denser; `apart`: no faces pass through others."""
+    # mirror: of a surface that no edge crosses from one side of the plane to the other; then the count may be one less
     # Cheapest first (room, long edges, uneven faces). It stays manifold and outside the one before; faces do not fold.
     vertices, faces = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
     side = edge_length(vertices, faces, vertex_count, sizing)
@@ -63,14 +66,20 @@ def progressive_hull(
         if len(waiting):
             free = ~np.isin(edges @ [len(vertices), 1], waiting[:, :2] @ [len(vertices), 1])
             edges, places, costs = edges[free], places[free], costs[free]
+        if mirror is not None:
+            edges, places, costs = _on_one_side(vertices, faces, edges, places, costs, mirror)
         if not len(edges):
             break
         most = min(max(int(share * len(vertices)), 1), len(vertices) - vertex_count)
         chosen = _apart(edges, costs, faces, len(vertices), most)
-        crossing = _crossing(vertices, faces, edges[chosen], places[chosen]) if apart else np.zeros(len(chosen), bool)
-        number, vertices, faces = _collapsed(vertices, faces, edges[chosen[~crossing]], places[chosen[~crossing]])
+        edges, places, owner = edges[chosen], places[chosen], np.arange(len(chosen))
+        if mirror is not None:
+            edges, places, owner = _on_both_sides(edges, places, mirror, most)
+        crossing = _crossing(vertices, faces, edges, places, owner) if apart else np.zeros(len(edges), bool)
+        number, vertices, faces = _collapsed(vertices, faces, edges[~crossing], places[~crossing])
+        mirror = mirror and mirror.renumbered(number)
         waiting[:, 2] -= not crossing.all()  # so that it ends where there are only such
-        waiting = np.concatenate([waiting, np.insert(edges[chosen[crossing]], 2, _WAIT, axis=1)])
+        waiting = np.concatenate([waiting, np.insert(edges[crossing], 2, _WAIT, axis=1)])
         waiting = waiting[waiting[:, 2] > 0]
         waiting[:, :2] = np.sort(number[waiting[:, :2]], axis=1)
     return vertices, faces
@@ -87,16 +96,42 @@ def _collapsed(vertices, faces, edges, places) -> tuple[np.ndarray, np.ndarray, 
     return np.searchsorted(used, number), vertices[used], faces.reshape(-1, 3)
 
 
-def _crossing(vertices, faces, edges, places) -> np.ndarray:
-    """(e,) which of the collapses to take back so that no faces pass through each other, where none did before."""
+def _on_one_side(vertices, faces, edges, places, costs, mirror: Mirror):
+    """The collapses on the plane of a mirror, of places there, and those above it, which their images can go with."""
+    on_plane = mirror.partner == np.arange(len(vertices))
+    flat, above = on_plane[edges].all(axis=1), ~on_plane & (vertices[:, mirror.axis] > mirror.middle)
+    places[flat, mirror.axis] = mirror.middle
+    # a vertex on the plane that is across from one of a pair is so from both, and loses two faces
+    degree = np.bincount(faces.reshape(-1), minlength=len(vertices))
+    few = on_plane & (degree < MIN_NEIGHBORS + 2)
+    opposite = np.concatenate([faces[few[faces[:, k]]][:, [k - 2, k - 1]] for k in range(3)])
+    blocked = np.isin(edges @ [len(vertices), 1], np.sort(opposite, axis=1) @ [len(vertices), 1])
+    free = flat | (above[edges].all(axis=1) & (places[:, mirror.axis] > mirror.middle) & ~blocked)
+    return edges[free], places[free], costs[free]
+
+
+def _on_both_sides(edges, places, mirror: Mirror, most) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The first collapses that take away so many vertices, or one more, their images after them, and of which each
+    is."""
+    paired = (mirror.partner[edges] != edges).any(axis=1)
+    count = np.searchsorted(np.cumsum(1 + paired), most) + 1
+    edges, places, images = edges[:count], places[:count], np.flatnonzero(paired[:count])
+    places = np.concatenate([places, reflected(places[images], mirror.axis, mirror.middle)])
+    owner = np.concatenate([np.arange(len(edges)), images])
+    return np.concatenate([edges, mirror.partner[edges[images]]]), places, owner
+
+
+def _crossing(vertices, faces, edges, places, owner) -> np.ndarray:
+    """(e,) which of the collapses to take back so that no faces pass through each other, where none did before; those
+    of one owner (e,) are taken back together."""
     taken_back = np.zeros(len(edges), dtype=bool)
     while True:
-        kept = np.flatnonzero(~taken_back)
+        kept = np.flatnonzero(~taken_back[owner])
         number, moved, triangles = _collapsed(vertices, faces, edges[kept], places[kept])
         crossed = meeting_rings(moved, triangles, number[edges[kept, 0]])
         if not crossed.any():
-            return taken_back
-        taken_back[kept[crossed]] = True
+            return taken_back[owner]
+        taken_back[owner[kept[crossed]]] = True
 
 
 def meeting_rings(vertices, faces, rings) -> np.ndarray:

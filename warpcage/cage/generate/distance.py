@@ -10,7 +10,6 @@ import warp as wp
 from ...core.devices import launch, resolve_device
 from ...core.threads import cpu_threads
 from ...kernels.mesh.shell import DistanceGrid, list_near_samples, look_up_directions, look_up_faces, measure_nearest
-from .decimate import on_cpu
 
 #: Steps of a look-up, and of a search for the nearest point, as `launch` counts them.
 _LOOK_UP_WORK, _SEARCH_WORK = 1, 128
@@ -20,6 +19,11 @@ _BEYOND = 1.0 + 1e-9
 
 #: Voxels about `need` in which the distances of a grid are exact, and over which they pass into those of voxels.
 _EXACT, _MIXED = 1.0, 1.5
+
+
+def on_cpu(values: np.ndarray, dtype) -> wp.array:
+    """A Warp array of the same memory, where values are C-contiguous."""
+    return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
 
 
 class ObjectVoxels:
@@ -120,17 +124,25 @@ class ObjectShell:
         self.grid.slopes, self.grid.shape = on_cpu(slopes.reshape(-1, 3), wp.vec3), wp.vec3i(*slopes.shape[:3])
         self.grid.lower, self.grid.spacing = wp.vec3d(*self.lower), wp.float64(self.spacing)
 
-    def surface(self, level: float, step: int = 1) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (v, 3), world units, and outward faces (f, 3) of the closed object's offset by `level`.
-        `step`: voxels a side of the cubes that are marched."""
+    def surface(
+        self, level: float, step: int = 1, plane: tuple[int, float] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (v, 3), world units, and outward faces (f, 3) of the closed object's offset by `level`; where there
+        is a plane (axis, place), of what lies above. `step`: voxels a side of the cubes that are marched."""
         import skimage.measure
 
-        nodes, faces, _, _ = skimage.measure.marching_cubes(self.smooth, level=level, step_size=step)
+        values, lower = self.smooth, self.lower.copy()
+        if plane is not None:  # node 0 lies on it
+            axis, lower[axis] = plane
+            first, share = divmod(float((lower[axis] - self.lower[axis]) / self.spacing), 1.0)
+            rows = np.moveaxis(values, axis, 0)[int(first) :]
+            values = np.moveaxis((1.0 - share) * rows[:-1] + share * rows[1:], 0, axis)
+        nodes, faces, _, _ = skimage.measure.marching_cubes(values, level=level, step_size=step)
         nodes = nodes.astype(np.float64)
         a, b, c = (nodes[faces[:, k]] for k in range(3))
         if np.einsum("fi,fi->", a, np.cross(b, c)) < 0.0:
             faces = faces[:, ::-1]
-        return self.lower + nodes * self.spacing, np.ascontiguousarray(faces)
+        return lower + nodes * self.spacing, np.ascontiguousarray(faces)
 
     def distance_on_faces(self, vertices: np.ndarray, faces: np.ndarray, pieces: int) -> np.ndarray:
         """`closed` at the samples (f, s) of faces (f, 3), as in `face_samples`; beyond the grid as at its edge."""

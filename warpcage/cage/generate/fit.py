@@ -10,7 +10,9 @@ import warp as wp
 from ...core.devices import launch
 from ...kernels.mesh.contacts import MEAN_DECAY, SQUARE_DECAY, descend, measure_contacts, push_vertices, smooth_vertices
 from ...mesh.mesh import ClosedMesh
-from .decimate import corner_rings, on_cpu
+from .decimate import corner_rings
+from .distance import on_cpu
+from .mirror import Mirror
 
 #: Pieces that the sides of faces are cut in for samples: in spreading, at most in clearing, least and most in drawing,
 #: which needs fewer: a face is short in many.
@@ -103,7 +105,10 @@ class HeldFaces:
     def push(self) -> None:
         """Vertices moved as the last touch asks for."""
         self._move(push_vertices, [*self._rings, self._places, *self._asked])
-        self.mirror()
+        if isinstance(self._mirror, Mirror):
+            self.vertices[:] = self._mirror.farther(self._next, self.vertices)
+        else:
+            self.mirror()
 
     def descend(self, turn: int, step: float) -> None:
         """A step down what the last touch found, in round `turn`, of `step` at most, and its push."""
@@ -150,7 +155,7 @@ class HeldFaces:
 def spread(shell, vertices, faces, need, mirror, rounds: int) -> np.ndarray:
     """Vertices smoothed along the surface, pulled towards the object as far as the faces around them allow, and pushed
     off it, in turns."""
-    level, held = need + _LEVEL * shell.spacing, HeldFaces(shell, vertices, faces, need)
+    level, held = need + _LEVEL * shell.spacing, HeldFaces(shell, vertices, faces, need, mirror)
     held.ask(np.full(len(faces), _SPREAD_PIECES, np.int32), np.full(len(faces), level))
     for turn in range(rounds):
         held.smooth(_SPREAD_SMOOTHING * (1.0 - turn / rounds))

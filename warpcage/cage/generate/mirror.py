@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
 
 import numpy as np
 
 from .distance import bounds_of
-
-#: A function that makes vertices (v, 3) symmetric.
-Mirror = Callable[[np.ndarray], np.ndarray]
 
 #: Share of an object's size that its mirror image may lie off it, nearly everywhere, for a symmetric cage; and where.
 _NEAR, _NEARLY_ALL = 0.02, 0.95
@@ -25,20 +22,54 @@ def reflected(points: np.ndarray, axis: int, middle: float) -> np.ndarray:
     return image
 
 
-def partners(vertices: np.ndarray, axis: int, middle: float) -> np.ndarray:
-    """(v,) the vertex nearest to the mirror image of each."""
-    from scipy.spatial import KDTree
+@dataclasses.dataclass(frozen=True)
+class Mirror:
+    """A plane where an axis has the value middle, and the vertex across it of each (v,), itself where it lies on it."""
 
-    return KDTree(vertices).query(reflected(vertices, axis, middle))[1]  # pyright: ignore[reportReturnType]
+    axis: int
+    middle: float
+    partner: np.ndarray
+
+    @classmethod
+    def of(cls, vertices: np.ndarray, plane: tuple[int, float]) -> Mirror:
+        """Of vertices that are nearest to their own mirror images."""
+        from scipy.spatial import KDTree
+
+        return cls(*plane, np.asarray(KDTree(vertices).query(reflected(vertices, *plane))[1]))
+
+    def __call__(self, vertices: np.ndarray) -> np.ndarray:
+        """The mean of vertices and of the mirror images of their partners."""
+        return 0.5 * (vertices + reflected(vertices[self.partner], self.axis, self.middle))
+
+    def farther(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Symmetric vertices moved from before, symmetric, to after or as the mirror image of their partners, by what
+        is more: a mean would take back half of what only one side has found."""
+        image = reflected(after[self.partner], self.axis, self.middle)
+        own = ((after - before) ** 2).sum(axis=1)
+        return self(np.where((own >= own[self.partner])[:, None], after, image))
+
+    def renumbered(self, number: np.ndarray) -> Mirror:
+        """Once each vertex has another number (v,), those of a pair that became one having the same."""
+        partner = np.empty(number.max() + 1, dtype=np.int64)
+        partner[number] = number[self.partner]
+        return dataclasses.replace(self, partner=partner)
 
 
-def mirror_of(partner: np.ndarray, axis: int, middle: float) -> Mirror:
-    """A function that takes the mean of vertices and of the mirror images of their partners (v,)."""
-
-    def mirrored(vertices: np.ndarray) -> np.ndarray:
-        return 0.5 * (vertices + reflected(vertices[partner], axis, middle))
-
-    return mirrored
+def joined_halves(vertices: np.ndarray, faces: np.ndarray, plane: tuple[int, float]) -> tuple[np.ndarray, np.ndarray]:
+    """The closed surface of a half (v, 3), (f, 3) above a plane, whose rim goes there, and of its mirror image."""
+    axis, middle = plane
+    starts, ends = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    there, back = starts * len(vertices) + ends, ends * len(vertices) + starts
+    rim = np.zeros(len(vertices), dtype=bool)
+    rim[starts[~np.isin(there, back)]] = True
+    vertices = vertices.copy()
+    vertices[rim, axis] = middle
+    faces = faces[~rim[faces].all(axis=1)]  # in the plane
+    used, faces = np.unique(faces, return_inverse=True)
+    vertices, rim, faces = vertices[used], rim[used], faces.reshape(-1, 3)
+    number = np.where(rim, np.arange(len(used)), len(used) - 1 + np.cumsum(~rim))
+    both = np.concatenate([vertices, reflected(vertices[~rim], axis, middle)])
+    return both, np.concatenate([faces, number[faces][:, ::-1]])
 
 
 def nearest_mirror(points: np.ndarray, spacing: float) -> str | None:

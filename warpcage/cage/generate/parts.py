@@ -6,6 +6,7 @@ import numpy as np
 
 from .decimate import Sizing, relative_sizes
 from .distance import ObjectShell
+from .mirror import reflected
 
 #: How far beyond a ball inside the object its surface still counts as that ball's, in radii and in voxels: a square rod
 #: has edges at 1.41 radii.
@@ -59,3 +60,8 @@ def thickness(shell: ObjectShell, x: np.ndarray, level: float) -> np.ndarray:
     if bare.any() and not bare.all():
         found[bare] = found[~bare][scipy.spatial.KDTree(x[~bare]).query(x[bare])[1]]
     return np.maximum(found, 1.0) * shell.spacing
+
+
+def symmetric_sizing(sizing: Sizing, plane: tuple[int, float]) -> Sizing:
+    """The shorter of the lengths of edges at places and at their mirror images."""
+    return sizing and (lambda x: np.minimum(sizing(x), sizing(reflected(x, *plane))))

@@ -13,7 +13,7 @@ from ...mesh.queries import crossing_faces
 from ...mesh.surface import CELLS, PolygonFaces
 from .distance import ObjectShell, ObjectVoxels
 from .fit import cleared, drawn_close, row_sums, shortfall
-from .mirror import Mirror, mirror_of, partners
+from .mirror import Mirror
 from .shell import crossings, flaw, tangle
 
 _log = logging.getLogger(__name__)
@@ -41,9 +41,9 @@ _MOVED = 1e-12
 def quad_cage(voxels: ObjectVoxels, cage: ClosedMesh, plane: tuple[int, float] | None = None) -> ClosedMesh:
     """A cage of as many quads as hold, and of triangles elsewhere, with the vertices of one of triangles, moved a
     little. plane: axis and place of a mirror plane of the cage."""
-    partner = None if plane is None else partners(cage.vertices, *plane)
+    mirror = None if plane is None else Mirror.of(cage.vertices, plane)
+    partner = None if mirror is None else mirror.partner
     joined = paired(cage.vertices, cage.faces, partner)
-    mirror = None if plane is None or partner is None else mirror_of(partner, *plane)
     shell = ObjectShell(voxels, voxels.need + max(0.06 * voxels.size, 2.0 * voxels.spacing))
     for turn in range(_ROUNDS + 1):
         faces = [list(quad) for quad in joined] + _left(cage.faces, joined)
@@ -146,8 +146,8 @@ class _Followed:
         share, own = entries.data[asked], entries.col[asked]
         total = np.bincount(own, share, len(self.vertices))[:, None]
         steps = row_sums([own], [share[:, None] * step[entries.row[asked]]], len(self.vertices))
-        self.vertices = self.vertices + steps / np.where(total > 0.0, total, 1.0)
-        self.vertices = self.vertices if self._mirror is None else self._mirror(self.vertices)
+        after = self.vertices + steps / np.where(total > 0.0, total, 1.0)
+        self.vertices = after if self._mirror is None else self._mirror.farther(self.vertices, after)
         return self._operator @ self.vertices
 
 

@@ -23,10 +23,11 @@ from ...mesh.mesh import ClosedMesh
 from ...mesh.queries import intersecting_faces
 from ...mesh.validity import require_usable, winding_numbers
 from ..shapes import box
-from .decimate import Sizing, edge_length, on_cpu, progressive_hull, relative_sizes
-from .distance import ObjectShell, ObjectVoxels
+from .decimate import Sizing, edge_length, progressive_hull, relative_sizes
+from .distance import ObjectShell, ObjectVoxels, on_cpu
 from .fit import cleared, drawn_close, spread
-from .parts import part_sizing
+from .mirror import Mirror, joined_halves
+from .parts import part_sizing, symmetric_sizing
 
 #: Closing radii tried, in lengths of the cage's edges: the first gives the tightest cage.
 CLOSINGS = (0.45, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0)
@@ -76,12 +77,13 @@ _ATTEMPTS = ((6, False), (9, False), (4, False), (6, True))
 def shell_cage(
     voxels: ObjectVoxels,
     vertex_count: int,
-    symmetry=None,
+    plane: tuple[int, float] | None = None,
     progress: bool | Progress = False,
     sizing: Sizing = None,
     detail: str = "even",
 ) -> ClosedMesh:
-    """Try ever wider closings until a cage comes out that holds."""
+    """Try ever wider closings until a cage comes out that holds. plane: of symmetry, of the object too, (axis,
+    place)."""
     points, spacing, need = voxels.points, voxels.spacing, voxels.need
     shell = ObjectShell(voxels, need + max(0.06 * voxels.size, 2.0 * spacing))
     edge = edge_length(*shell.surface(max(need, _MIN_LEVEL * spacing)), vertex_count)
@@ -89,6 +91,7 @@ def shell_cage(
     if apart:
         closings, finest = PART_CLOSINGS, ObjectShell(voxels, need + 2.0 * spacing)
         sizing = part_sizing(finest, max(need, _MIN_LEVEL * spacing), sizing)
+        sizing = symmetric_sizing(sizing, plane) if plane else sizing
     for fine, last in _ATTEMPTS:
         found, shells = [], []
         for closing in closings:
@@ -102,10 +105,13 @@ def shell_cage(
             level = need + _START * room
             # cubes with a node in each ball of the level's radius: nothing thin is missed
             step = int(np.clip(min(edge / _CUBES, level) / coarse, 1, _MAX_STEP))
-            surface = shell.surface(level, step)
-            start = decimated(*surface, int(fine * vertex_count * denser(*surface, sizing)))
-            hull = progressive_hull(*start, vertex_count, progress, sizing, apart)
-            cage, reason = sound(shell, *hull, need, vertex_count, last=last, sizing=sizing, apart=apart)
+            surface = shell.surface(level, step, plane)
+            start = decimated(*surface, int(fine * vertex_count * denser(*surface, sizing) / (2 if plane else 1)))
+            start = joined_halves(*start, plane) if plane else start
+            mirror = Mirror.of(start[0], plane) if plane else None
+            hull = progressive_hull(*start, vertex_count, progress, sizing, apart, mirror)
+            mirror = Mirror.of(hull[0], plane) if plane else None
+            cage, reason = sound(shell, *hull, need, vertex_count, mirror, last, sizing, apart)
             if cage:
                 found.append(cage)
                 shells.append(shell)
@@ -117,6 +123,8 @@ def shell_cage(
             if finest:
                 say_closed(finest, shells[[each is cage for each in found].index(True)], cage, progress)
             return cage
+    if plane:
+        raise InputError(", ".join(dict.fromkeys(reasons)))
     # no closing is wider than a box, which holds as it is
     cage, reason = sound(
         shell, *split_box(voxels.bounds, 1.5 * shell.reach, vertex_count), need, vertex_count, last=True
@@ -180,24 +188,32 @@ def split_box(bounds, room, vertex_count) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sound(
-    shell, vertices, faces, need, vertex_count, mirror=None, last=False, sizing: Sizing = None, apart=False
+    shell,
+    vertices,
+    faces,
+    need,
+    vertex_count,
+    mirror: Mirror | None = None,
+    last=False,
+    sizing: Sizing = None,
+    apart=False,
 ) -> tuple[ClosedMesh | None, str]:
     """The cage of these faces, drawn as close as holds, and what is wrong with it; or None and why there is none.
-    `mirror`: function of the vertices that makes them symmetric, or None; `last`: take them as they are if need be."""
-    if abs(len(vertices) - vertex_count) > 0.1 * vertex_count:
+    `mirror`: makes the vertices symmetric; `last`: take them as they are if need be."""
+    if abs(len(vertices) - vertex_count) > max(0.1 * vertex_count, mirror is not None):
         return None, f"decimation left {len(vertices)} vertices"
     start, reasons = vertices, []
     for rounds in _LAST_ROUNDS if last else _ROUNDS:
         even = spread(shell, start, faces, need, mirror, rounds)
         if apart:
-            even = untangled(start, even, faces)
+            even = untangled(start, even, faces, mirror)
         reason = tangle(shell, even, faces)
         if reason:
             reasons.append(reason)
             continue
         close = drawn_close(shell, even, faces, need, mirror)
         if apart:
-            close = untangled(even, close, faces)
+            close = untangled(even, close, faces, mirror)
         for share in _DRAWN:
             vertices = even + share * (close - even)
             reason = tangle(shell, vertices, faces)
@@ -212,7 +228,7 @@ def sound(
     return None, reasons[0]
 
 
-def untangled(before, after, faces) -> np.ndarray:
+def untangled(before, after, faces, mirror: Mirror | None = None) -> np.ndarray:
     """Vertices (v, 3) moved from before (v, 3), where no faces pass through each other, to after (v, 3) or, where some
     would, a part of the way."""
     share = np.ones(len(before))
@@ -222,6 +238,7 @@ def untangled(before, after, faces) -> np.ndarray:
         if not len(pairs):
             return vertices
         rows = np.unique(faces[pairs])
+        rows = rows if mirror is None else np.union1d(rows, mirror.partner[rows])
         if not share[rows].any():
             return vertices
         share[rows] = np.where(share[rows] > _MIN_WAY, 0.5 * share[rows], 0.0)

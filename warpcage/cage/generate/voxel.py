@@ -13,6 +13,7 @@ from ...mesh.mesh import ClosedMesh
 from .decimate import Sizing, progressive_hull
 from .distance import ObjectShell, ObjectVoxels, bounds_of
 from .fit import row_sums
+from .mirror import Mirror
 from .shell import STRAYS, best_cage, sound
 
 #: Sizes of voxels tried, as shares of the longest side; and closing radii, in voxels.
@@ -28,19 +29,18 @@ _ASIDE = 1e-6
 
 
 def voxel_cage(
-    voxels: ObjectVoxels, vertex_count: int, symmetry=None, progress: bool | Progress = False, sizing: Sizing = None
+    voxels: ObjectVoxels,
+    vertex_count: int,
+    plane: tuple[int, float] | None = None,
+    progress: bool | Progress = False,
+    sizing: Sizing = None,
 ) -> ClosedMesh:
-    """A cage of about `vertex_count` vertices around an object.
-    `symmetry`: normal of a mirror plane through the middle of its points."""
+    """A cage of about `vertex_count` vertices around an object. plane: of symmetry, of the object too, (axis,
+    place)."""
     import scipy.ndimage
 
     points, spacing, need = voxels.points, voxels.spacing, voxels.need
-    axis, middle = None if symmetry is None else "xyz".index(symmetry), 0.0
-    if axis is not None:
-        middle = 0.5 * (points[:, axis].min() + points[:, axis].max())
-        points = np.concatenate([points, points])
-        points[len(points) // 2 :, axis] = 2.0 * middle - points[len(points) // 2 :, axis]
-        voxels = ObjectVoxels(points, spacing, need)
+    axis, middle = plane or (None, 0.0)
     frame = np.eye(3) if axis is not None else principal_frame(points)  # with a mirror plane the world's
     side, reasons = None, []
     for last in (False, True):
@@ -57,7 +57,7 @@ def voxel_cage(
             vertices = np.matmul(lower + nodes * side, frame.T)
             if len(vertices) > 1.1 * vertex_count and axis is None:
                 vertices, faces = progressive_hull(vertices, faces, vertex_count, progress, sizing)
-            mirror = None if axis is None else _mirror(_partners(nodes, marks.shape, axis), axis, middle)
+            mirror = None if axis is None else Mirror(axis, middle, _partners(nodes, marks.shape, axis))
             vertices = _smoothed_improved(vertices, ClosedMesh(vertices, faces).edges)
             # a mirrored count is even in its pairs and has no decimation to help it
             count = len(vertices) if axis is not None else vertex_count
@@ -227,14 +227,3 @@ def _smoothed_improved(vertices, edges, rounds: int = 4, back: float = 0.6) -> n
         moved = smooth - vertices
         vertices = smooth - (back * moved + (1.0 - back) * mean(moved))
     return vertices
-
-
-def _mirror(partner, axis, middle):
-    """A function that takes the mean of vertices and of their mirror images across the plane at `middle`."""
-
-    def mirrored(vertices):
-        across = vertices[partner]
-        across[:, axis] = 2.0 * middle - across[:, axis]
-        return 0.5 * (vertices + across)
-
-    return mirrored

@@ -43,8 +43,8 @@ field  field (.npz), splats or mesh ({MESHES})
     cylinder, otherwise chosen from the object)
 --method  shell: an offset surface, decimated and pulled close; voxel: more even faces, like the paper's; auto: the
     tighter of the two (default: auto)
---symmetry  make the cage symmetric across the middle of this axis (voxel only); auto: of the axis across which the
-    object nearly is, if any
+--symmetry  make the cage symmetric across the middle of this axis; auto: of the axis across which the object nearly is,
+    if any
 --detail  even: vertices lie evenly; parts: limbs get tubes of their own, gaps and holes stay open as far as the count
     allows (shell only) (default: even)
 --focus FILE  shorter edges at the nodes of a selection (.npz), or where the poses of another cage around the object
