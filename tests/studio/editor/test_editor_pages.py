@@ -18,6 +18,7 @@ from scenes import LAMP, TableScene
 
 from warpcage import Cage
 from warpcage.cage import UpAxis
+from warpcage.select import visible_nodes
 from warpcage.studio.editor import Document, Session, inspection, new_document, read_session, server, tasks, view_camera
 from warpcage.studio.editor.web import clients
 
@@ -335,6 +336,34 @@ def test_a_cage_around_the_object_that_is_clicked(tmp_path):
 
     session = Session(scene.field, new_document(scene.field))
     with_pages(test, tmp_path, session=session)
+
+
+def test_a_new_cage_is_finer_where_another_is_bent_or_selected(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(Cage, "from_field", lambda *_, **options: asked.append(options) or BOX)
+
+    async def test(host, page):
+        bent = REST * [1.0, 1.0, 1.2]
+        await page.drag(bent)
+        await page.do(do="key.add", time=1.0, pose=True)
+        for focus in (None, {"edit": 1}, {"edit": 1, "vertices": [0, 1]}):
+            await page.do(do="cage.generate", count=30, symmetry="auto", faces="quads", focus=focus, finer=3)
+        await page.until(lambda: [job["state"] for job in page.sections["jobs"]] == ["done"] * 3)
+        assert all((each["symmetry"], each["faces"], each["finer"]) == ("auto", "quads", 3.0) for each in asked)
+        (nowhere,), (poses,), (points,) = ([each["focus"]] for each in asked)
+        assert nowhere is None and [type(each) for each in poses] == [Cage] * 3
+        np.testing.assert_array_equal([each.vertices for each in poses], [REST, bent, bent])
+        nodes = visible_nodes(host.session.field)
+        expected = [REST[0], REST[1], REST[:2].mean(axis=0)] if [0, 1] in np.sort(BOX.edges).tolist() else REST[:2]
+        nearest = [np.linalg.norm(nodes - place, axis=1).min() for place in expected]
+        assert len(points) == len(expected) and all((nodes == point).all(axis=1).any() for point in points)
+        np.testing.assert_allclose(np.linalg.norm(points - expected, axis=1), nearest)
+        await page.refused(do="cage.generate", count=30, focus={"edit": 1, "vertices": []})
+        await page.refused(do="cage.generate", count=30, focus={"edit": 9})
+        for wrong in ({"focus": "all"}, {"finer": 9}, {"faces": "n-gons"}, {"symmetry": "w"}):
+            await page.refused(do="cage.generate", count=30, **wrong)
+
+    with_pages(test, tmp_path)
 
 
 def test_a_job_waits_for_the_hand_and_takes_in_what_was_done_meanwhile(tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ from polygon_cages import quad_box
 from scenes import LAMP, TableScene
 
 import warpcage
+from warpcage.cage import mirror_axes
 from warpcage.studio.editor import view_camera
 from warpcage.view import eased_share
 
@@ -388,3 +389,41 @@ def test_quads_have_no_diagonals_and_are_picked_whole(browser: Any, tmp_path: Pa
             assert tuple(window.section("selection")["vertices"]) in {tuple(sorted(each)) for each in cage.polygons}
         assert window.console() == []
         browser.get("about:blank")
+
+
+def test_a_generated_cage_takes_quads_symmetry_and_a_focus(
+    window: Window, editor: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, make = [], warpcage.Cage.from_field
+    monkeypatch.setattr(warpcage.Cage, "from_field", lambda *a, **o: asked.append(o) or make(*a, **o))
+    looks_cheap(window)
+    window.press("1")
+    upper = np.flatnonzero(CAGE.vertices[:, 2] > 0.3)
+    places = window.places()[upper]
+    window.drag([places.min(axis=0) - 12, places.mean(axis=0), places.max(axis=0) + 3])
+    until(lambda: set(upper) & set(editor.document.selection.vertices), "vertices are selected")
+    selected = editor.document.selection.vertices
+    assert CAGE.vertices[list(selected), 2].min() > -0.1
+    window.wait("warpcage.store.sections.selection.vertices.length === arguments[0]", "", len(selected))
+    window.unfold("cage")
+    window.click("#cage-generate")
+    window.wait("document.querySelector('#ask-focus')")
+    assert window.get("document.querySelector('#ask-finer').closest('[hidden]') !== null")
+    chosen = {"edit": "A new edit", "symmetry": "Where the object nearly is", "detail": "Limbs and gaps",
+              "faces": "Quads, where they hold", "focus": f"About the {len(selected)} selected vertices"}  # fmt: skip
+    for name, label in chosen.items():
+        labels = window.get(f"[...document.querySelector('#ask-{name}').options].map((each) => each.textContent)")
+        window.choose(f"#ask-{name}", str(labels.index(label)))
+    assert window.get("document.querySelector('#ask-finer').closest('[hidden]') === null")
+    window.fill("#ask-count", "40")
+    window.fill("#ask-finer", "4")
+    window.confirm()
+    assert window.job(1)["state"] == "done"
+    cage = editor.document.edits[-1].rest_cage
+    assert len(editor.document.edits) == 2 and sum(len(face) == 4 for face in cage.polygons) > 0.7 * cage.face_count
+    assert "x" in mirror_axes(cage.vertices)
+    (options,) = asked
+    assert (options["detail"], options["finer"]) == ("parts", 4.0)
+    assert len(options["focus"]) >= len(selected) and options["focus"][:, 2].min() > -0.1
+    window.press("Ctrl+Z")
+    until(lambda: len(editor.document.edits) == 1, "it is taken back")

@@ -16,15 +16,16 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ...cage.cage import Cage
+from ...cage.generate.focus import MAX_FINER
 from ...cage.up_axis import UpAxis, load_standing
 from ...core.checks import checked_flag, checked_number, checked_whole
 from ...core.names import checked_choice, counted
 from ...errors import InputError
 from ...render.surface_mesh import SurfaceMesh
-from ...select.selection import NodeSelection, visible_mask
+from ...select.selection import NodeSelection, visible_mask, visible_nodes
 from ...splats.io import SPLAT_ENDINGS
 from ...splats.splat_field import field_size
-from ..films.checks import checked_id
+from ..films.checks import checked_id, checked_vertices
 from ..films.document import Document, Step
 from ..films.session import exports, timeline
 from ..films.session.exports import requested_film
@@ -178,8 +179,11 @@ class Tasks:
             self.session.document.edit(number)
         count = checked_whole(message.get("count", 100), "count", *COUNTS)
         method = checked_choice(message.get("method", "auto"), "method", ("auto", "shell", "voxel"))
-        symmetry = _axis(message, "symmetry", ("x", "y", "z"))
+        symmetry = _axis(message, "symmetry", ("x", "y", "z", "auto"))
         detail = checked_choice(message.get("detail", "even"), "detail", ("even", "parts"))
+        faces = checked_choice(message.get("faces", "triangles"), "faces", ("triangles", "quads"))
+        finer = checked_number(message.get("finer", 2.0), "finer", 1.0, MAX_FINER)
+        focus = _focus(self.session.document, message.get("focus"))
         margin = message.get("margin")
         if margin is not None:
             margin = checked_number(margin, "margin", 0.0, MAX_MARGIN)
@@ -190,7 +194,9 @@ class Tasks:
             progress(None, "looks for the surface and draws a cage around it")
             around: Any = choose()
             make: Any = Cage.from_mesh if isinstance(around, SurfaceMesh) else Cage.from_field
-            cage = make(around, count, margin=margin, method=method, symmetry=symmetry, detail=detail)
+            where = _onto(around, focus) if isinstance(focus, np.ndarray) else focus
+            options = {"method": method, "symmetry": symmetry, "detail": detail, "focus": where, "finer": finer}
+            cage = make(around, count, margin=margin, faces=faces, **options)
             progress(0.95, "adds it to the scene")
             self._apply(lambda document: commands.with_cage(document, number, cage, "generate cage", owner))
             return Outcome(f"a cage of {len(cage.vertices)} vertices{_around(around)}")
@@ -395,6 +401,34 @@ def _around(chosen: Any) -> str:
     share = np.count_nonzero(chosen.mask) / np.count_nonzero(visible_mask(chosen.field))
     more = ": undo it and paint over the object with the brush if that is too little" if share < SMALL_SHARE else ""
     return f" around {share:.1%} of what is visible{more}"
+
+
+def _focus(document: Document, given: Any) -> list[Cage] | np.ndarray | None:
+    """Where a new cage has shorter edges: where the poses of an edit bend it, or about vertices of it, at rest."""
+    if given is None:
+        return None
+    if not isinstance(given, dict) or "edit" not in given:
+        raise InputError("a focus must be {edit, vertices} or the {edit} whose poses bend it")
+    edit = document.edit(given["edit"])
+    if edit.object_id != document.selection.object_id:
+        raise InputError(f"{edit.name!r} is of another object than the cage: its focus must be of the same")
+    cage, moved = edit.rest_cage, [edit.posed]
+    if "vertices" not in given:
+        moved += [key.poses[edit.id] for key in document.timeline.keys if key.poses and edit.id in key.poses]
+        return [cage, *map(cage.with_vertices, moved)]
+    chosen = np.array(checked_vertices(given["vertices"], len(edit.rest)), dtype=np.int64)
+    if not len(chosen):
+        raise InputError("nothing is selected: select the vertices about which the new cage shall be finer")
+    between = cage.edges[np.isin(cage.edges, chosen).all(axis=1)]
+    return np.concatenate([edit.rest[chosen], edit.rest[between].mean(axis=1)])
+
+
+def _onto(around: Any, points: np.ndarray) -> np.ndarray:
+    """The points of an object that are nearest to those of a cage (n, 3), which lie off it."""
+    from scipy.spatial import KDTree
+
+    places = np.asarray(around.vertices) if isinstance(around, SurfaceMesh) else visible_nodes(around)
+    return places[KDTree(places).query(points)[1]] if len(places) else points
 
 
 def _axis(message: dict[str, Any], name: str, axes: tuple[str, ...]) -> str | None:

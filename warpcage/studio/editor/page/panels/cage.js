@@ -25,6 +25,7 @@ const AROUND = [
 
 const SYMMETRIES = [
   [null, "None"],
+  ["auto", "Where the object nearly is"],
   ["x", "Left and right alike (x)"],
   ["y", "y"],
   ["z", "z"],
@@ -34,6 +35,21 @@ const DETAILS = [
   ["even", "Even"],
   ["parts", "Limbs and gaps"],
 ];
+
+const FACES = [
+  ["triangles", "Triangles"],
+  ["quads", "Quads, where they hold"],
+];
+
+/** Where a new cage may be finer: a choice of a dialog. */
+function focuses(edit) {
+  const count = selectedVertices().length;
+  return [
+    ["none", "Nowhere"],
+    ...(edit ? [["poses", `Where "${edit.name}" is bent, now or at keys`]] : []),
+    ...(edit && count ? [["vertices", count === 1 ? "About the selected vertex" : `About the ${count} selected vertices`]] : []),
+  ];
+}
 
 const clickHint = () => `${isBrush() ? "Paint over" : "Click"} the object in the picture; Escape leaves it.`;
 
@@ -63,12 +79,16 @@ async function generate() {
       { name: "margin", label: "Margin", type: "number", value: null, min: 0, max: 100, step: 0.5, unit: "voxels", optional: true, help: "Gap between object and cage. Empty: automatic." },
       { name: "method", label: "Method", type: "choice", value: "auto", choices: METHODS },
       { name: "symmetry", label: "Symmetry", type: "choice", value: null, choices: SYMMETRIES },
-      { name: "detail", label: "Detail", type: "choice", value: "even", choices: DETAILS, help: "Tubes for limbs, gaps and holes open where the vertices suffice; without symmetry." },
+      { name: "detail", label: "Detail", type: "choice", value: "even", choices: DETAILS, help: "Tubes for limbs, gaps and holes open where the vertices suffice." },
+      { name: "faces", label: "Faces", type: "choice", value: "triangles", choices: FACES, help: "Quads are easier to read and to subdivide." },
+      { name: "focus", label: "Finer", type: "choice", value: "none", choices: focuses(edit), help: "Shorter edges there, longer ones elsewhere, at the same number of vertices." },
+      { name: "finer", label: "Times finer", type: "number", value: 2, min: 1, max: 8, step: 0.5, shown: ({ focus }) => focus !== "none" },
     ],
     confirm: "Generate",
   });
   if (!given) return;
   const { around, ...options } = given;
+  options.focus = { none: null, poses: { edit: edit?.id }, vertices: { edit: edit?.id, vertices: selectedVertices() } }[given.focus];
   let click = null;
   if (around !== "all") {
     toast(clickHint());
