@@ -9,17 +9,14 @@ import numpy as np
 
 from ..errors import InputError
 
-#: A polygon is flat when its vertices lie this close to one plane, as a share of its size.
-_FLAT = 0.1
-
 #: Most corners of a polygon that is cut ear by ear, which takes two seconds for as many. Convex ones may have more.
 MAX_CORNERS = 4096
 
 
 def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int, int]]:
     """Triangles over a polygon of n of the vertices (v, 3), wound as it is: n - 2 times three indices of vertices."""
-    # The fan from its first vertex where no triangle of it looks backward (by order alone); else ears are cut off, the
-    # best shaped first (Meisters 1975), but polygons without area or far from flat are cut as fans.
+    # The fan from its first vertex where no triangle of it looks backward (by order alone), or where there is no area;
+    # else ears are cut off, the best shaped first (Meisters 1975), in the plane that fits the polygon.
     fan = [(polygon[0], polygon[k], polygon[k + 1]) for k in range(1, len(polygon) - 1)]
     points = vertices[polygon] - vertices[polygon[0]]
     normal = 0.5 * np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)  # Newell 1972
@@ -27,8 +24,6 @@ def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int
     if length == 0.0 or not np.isfinite(length):
         return fan
     normal /= length
-    if np.ptp(points @ normal) > _FLAT * np.ptp(points, axis=0).max():
-        return fan  # far from flat: no cut is the right one, so take one that every pose shares
     heights = _heights(vertices, np.array(fan), normal)
     if (heights > 1e-9 * length).all():
         return fan

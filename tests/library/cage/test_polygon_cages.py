@@ -185,6 +185,24 @@ def test_volumes_are_those_of_bilinear_patches():
     assert off[1] <= off[0] + 1e-12 and off[1] < 1e-6
 
 
+@pytest.mark.parametrize("start", range(4))
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_warped_dart_is_cut_at_its_notch_wherever_its_corners_begin(start, mirrored):
+    # the notch is corner 2, so that the diagonal from 0 to 2 alone stays within the face
+    dart = np.array([(0.0, 0.0, 0.0), (2.0, -1.5, 0.3), (0.8, 0.0, -0.3), (2.0, 1.5, 0.3)])
+    points = np.concatenate([dart - (0, 0, 1), dart + (0, 0, 1)]) * (-1 if mirrored else 1, 1, 1)
+    faces = [[3, 2, 1, 0], [4, 5, 6, 7], *([k, (k + 1) % 4, (k + 1) % 4 + 4, k + 4] for k in range(4))]
+    faces = [face[start:] + face[:start] for face in faces]
+    cage = Cage(points, [face[::-1] for face in faces] if mirrored else faces)
+    # its sides are upright, so its volume is its height times the area of the outline
+    assert cage.check().concave_faces == (0, 1)
+    assert cage.volume == pytest.approx(
+        2.0 * 0.5 * abs(np.linalg.det([dart[2, :2] - dart[0, :2], dart[3, :2] - dart[1, :2]]))
+    )
+    inside = cage.contains([[-0.4 if mirrored else 0.4, 0.0, 0.0], [-1.9 if mirrored else 1.9, 0.0, 0.0]])
+    assert inside.tolist() == [True, False]
+
+
 def test_faults_are_named_by_polygons():
     faces = [list(face) for face in CUBE_QUADS]
     assert "is open: 4 edges" in Cage(CUBE_CORNERS, faces[1:]).check().problem
