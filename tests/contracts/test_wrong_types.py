@@ -36,9 +36,12 @@ WRONG = {
     "vertices as a cage": (lambda field: wc.deform_points(POINTS, CAGE.vertices, CAGE), "a Cage, got ndarray"),
     "a list as a pose": (
         lambda field: wc.deform_points(POINTS, CAGE, [CAGE]),
-        "deformed cage must be a Cage, got list",
+        "a Cage or an array of its vertices, got list",
     ),
-    "a list as a pose of a map": (lambda field: wc.PositionMap(CAGE).pose([CAGE]), "a pose must be a Cage, got list"),
+    "a list as a pose of a map": (
+        lambda field: wc.PositionMap(CAGE).pose([CAGE]),
+        "a pose must be a Cage or an array of its vertices, got list",
+    ),
     "few vertices as a pose": (
         lambda field: wc.deform_points(POINTS, CAGE, CAGE.vertices[1:]),
         "needs 8 vertices, got 7",

@@ -76,7 +76,7 @@ class CageReport:
         clashing_edges: Edges whose two faces are wound against each other.
         degenerate_faces: Faces without area.
         coincident_vertices: Pairs of vertices at the same place.
-        inward_parts: Parts that look inward.
+        inward_parts: Parts that look inward, or are flat.
         intersecting_faces: Pairs of faces that cross; a face with more than three corners that folds over itself is a
             pair with itself.
         unused_vertices: Vertices of no face.
@@ -187,7 +187,7 @@ class CageReport:
             offender_row("edges of three or more faces", self.crowded_edges, "delete inner faces or split the edge"),
             offender_row("corners touching at a point", self.pinched_vertices, "one vertex for each fan of faces"),
             offender_row("faces facing opposite ways", self.clashing_edges, "flip faces until all look outward"),
-            offender_row("inside out", self.inward_parts, "flip all faces of the part"),
+            offender_row("inside out", self.inward_parts, "flip all faces of the part, or move its sides apart"),
             offender_row("faces without area", self.degenerate_faces, "remove the face or move its vertices apart"),
             offender_row("vertices at the same place", self.coincident_vertices, "merge them or move them apart"),
             offender_row("intersecting faces", self.intersecting_faces, "move vertices apart: the picture tears there"),

@@ -40,6 +40,7 @@ from ..mesh.biharmonic import LayerEquations
 from ..mesh.match import posed_mesh, require_same_faces, with_faces_of
 from ..mesh.mesh import ClosedMesh, prepared_fans, prepared_quads, require_mesh
 from ..mesh.queries import SURFACE_TOLERANCE, inside_mesh
+from ..mesh.surface import CELLS
 from ..mesh.validity import require_usable, size_problem
 from .harmonic import HARMONIC_RESOLUTION, harmonic_weights
 
@@ -108,6 +109,8 @@ def _lost_rows(
     lost = _outside_points(local, cage)
     if len(lost) and outside == "raise":
         hint = "" if kind.extends else f", {' or '.join(names_where('extends'))} for any"
+        if cage.operator is not None and kind.face_cells < CELLS:
+            hint += f"; of faces of four and more corners they take the triangles of refined({kind.face_cells})"
         raise InputError(
             f"{len(lost)} of {local.count} points {agreed(len(lost), 'is', 'are')} outside the cage by more "
             f"than {SURFACE_TOLERANCE:g} of its size, "
@@ -269,6 +272,8 @@ def deform_points(
     require_mesh(rest, "the rest cage must be")
     require_usable(rest, "rest cage")
     deformed = posed_mesh(rest, deformed, "the deformed cage must be")
+    if not kind.is_closed_form:
+        require_usable(deformed, "deformed cage")
     if deformed.size > rest.size and (problem := size_problem(deformed)):
         raise InputError(f"deformed cage {problem}")
     rest, deformed = (cage.refined(kind.face_cells) for cage in (rest, deformed))
@@ -337,7 +342,6 @@ def posed_on_lattice(
     kind: CoordinateKind, local: LocalPoints, rest: ClosedMesh, deformed: ClosedMesh
 ) -> tuple[PositionMap, np.ndarray]:
     """The map of points in the frame of the cage at rest to places in sizes of it from a center, and that center."""
-    require_usable(deformed, "deformed cage")
     # the map runs from the cage it is posed to, here the rest cage, to the one it is made of; both about the origin, as
     # float32 keeps few digits of a map between cages that are far apart
     center = deformed.bounds.mean(axis=0)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ..coordinate_kinds import CoordinateKind
+from ..coordinate_kinds import CoordinateKind, names_where
 from ..core.arrays import PointsLike, as_points, empty_array
 from ..core.checks import shown
 from ..core.devices import launch
-from ..core.names import POINT_COORDINATES, coordinate_kind
+from ..core.names import POINT_COORDINATES, coordinate_kind, listed
 from ..errors import InputError
 from ..kernels.coordinates.local_points import scale_rows
 from ..kernels.gradients.green_adjoint import slope_green_points
@@ -21,6 +21,7 @@ from ..kernels.gradients.points import propagate_points
 from ..lattice.corner_sums import CornerSums
 from ..mesh.match import posed_mesh
 from ..mesh.mesh import ClosedMesh
+from ..mesh.validity import require_usable
 from .coordinates import LocalPoints, cage_arrays, checked_points, posed_on_lattice, stretched_normals
 
 
@@ -49,7 +50,10 @@ def deform_points_vjp(
     # Raises as deform_points, for slopes of another shape, biharmonic, and mean value coordinates of quads.
     kind = _with_adjoint(coordinate_kind(coordinates), rest)
     local, lost, surface = checked_points(kind, points, rest, device, outside)
-    target = posed_mesh(rest, deformed, "the deformed cage must be").refined(kind.face_cells)
+    target = posed_mesh(rest, deformed, "the deformed cage must be")
+    if not kind.is_closed_form:
+        require_usable(target, "deformed cage")
+    target = target.refined(kind.face_cells)
     by_moved = as_points(slopes, local.device, name="slopes")
     if by_moved.size != local.count:
         raise InputError(f"slopes must be as many as the points, {local.count}, got {by_moved.size}")
@@ -101,6 +105,9 @@ def coordinates_vjp(
     vertices, _ = cage_arrays(surface, local)
     sums, by_points = CornerSums(surface, local.device), empty_array(local.count, wp.vec3, local.device)
     rows = list(slopes) if isinstance(slopes, tuple) else [slopes]
+    for each in rows:
+        if not isinstance(each, wp.array) or each.dtype is not wp.float32:
+            raise InputError(f"slopes by weights must be Warp arrays of float32, got {shown(each)}")
     widths = [len(surface.vertices)] + [len(surface.faces)] * kind.has_face_weights
     if [tuple(each.shape) for each in rows] != [(local.count, width) for width in widths]:
         raise InputError(
@@ -135,7 +142,9 @@ def coordinates_vjp(
 def _with_adjoint(kind: CoordinateKind, cage: ClosedMesh) -> CoordinateKind:
     """The kind, which has slopes by the faces of this cage."""
     if not kind.has_gradients:
-        raise InputError(f"no gradient passes through {kind.name} coordinates: take others")
+        raise InputError(
+            f"no gradient passes through {kind.name} coordinates: take {listed(names_where('has_gradients'))}"
+        )
     if kind.map_quads is not None and cage.refined(kind.face_cells).quads is not None:
         raise InputError(f"no gradient passes through {kind.name} coordinates of quads: cut the faces into triangles")
     return kind

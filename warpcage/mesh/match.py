@@ -18,7 +18,7 @@ def posed_mesh(rest: Mesh, pose: Any, what: str) -> Mesh:
     `what` begins the message where it is neither."""
     if isinstance(pose, np.ndarray) or is_device_array(pose):
         return rest.with_vertices(pose)
-    require_mesh(pose, what)
+    require_mesh(pose, what, "a Cage or an array of its vertices")
     require_same_faces(rest, pose)
     return with_faces_of(rest, pose)
 

@@ -419,10 +419,10 @@ class ClosedMesh:
         return renamed
 
 
-def require_mesh(value: object, what: str) -> None:
+def require_mesh(value: object, what: str, expected: str = "a Cage") -> None:
     """Refuse an object that is no mesh, by the message "`what` a Cage, got ..."."""
     if not isinstance(value, ClosedMesh):
-        raise InputError(f"{what} a Cage, got {type(value).__name__}")
+        raise InputError(f"{what} {expected}, got {type(value).__name__}")
 
 
 def _checked_vertices(vertices: ArrayLike) -> np.ndarray:
@@ -456,6 +456,8 @@ def _checked_faces(given: Any, vertices: np.ndarray) -> tuple[np.ndarray, Polygo
     if wrong.any():
         row = int(np.searchsorted(np.cumsum(sizes), np.flatnonzero(wrong)[0], side="right"))
         face = np.split(corners, np.cumsum(sizes)[:-1])[row].tolist()
+        if not len(vertices):
+            raise InputError("cage vertices must be (n, 3), at least one, got none")
         raise InputError(f"cage face {row} is {face}, indices must be 0 to {len(vertices) - 1}")
     corners = np.array(corners, dtype=np.int32)
     if (sizes == 3).all():

@@ -65,16 +65,25 @@ def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
 
 
 def inward_parts(mesh: ClosedMesh) -> np.ndarray:
-    """Connected parts (k,) of a closed mesh, ascending, that look inward without being a cavity inside another part."""
+    """Connected parts (k,) of a closed mesh, ascending, that look inward without being a cavity inside another part, or
+    are flat."""
     volumes, surface = mesh.part_volumes(), mesh.surface
-    parts = surface.topology.parts
+    parts, flat = surface.topology.parts, _flat_parts(mesh, volumes)
     wrong = []
-    for part in np.flatnonzero(volumes <= 0.0):
+    for part in np.flatnonzero((volumes <= 0.0) | flat):
         inside = surface.vertices[surface.faces[parts == part][:1, 0]]
         others = surface.faces[parts != part]
-        if volumes[part] == 0.0 or not len(others) or winding_numbers(inside, surface.vertices, others)[0] < 0.5:
+        if flat[part] or not len(others) or winding_numbers(inside, surface.vertices, others)[0] < 0.5:
             wrong.append(part)
     return np.asarray(wrong, dtype=np.int64)
+
+
+def _flat_parts(mesh: ClosedMesh, volumes: np.ndarray) -> np.ndarray:
+    """Which connected parts of these volumes, (k,) bool, are so thin that rounding decides the sign of their volume."""
+    u, v = face_edges(mesh.surface)
+    normal = column_cross(u, v)
+    areas = 0.5 * np.bincount(mesh.surface.topology.parts, weights=np.sqrt(column_dot(normal, normal)))
+    return np.abs(volumes) <= 0.5 * DEGENERATE_HEIGHT * mesh.size * areas
 
 
 def looks_usable(mesh: ClosedMesh) -> bool:
@@ -92,6 +101,7 @@ def looks_usable(mesh: ClosedMesh) -> bool:
     if (column_dot(normal, normal) <= (DEGENERATE_HEIGHT * mesh.size) ** 2 * longest).any():
         return False
     cones = column_dot(local.T.take(mesh.faces[:, 0], axis=1), normal)
+    cones -= 1.5 * DEGENERATE_HEIGHT * mesh.size * np.sqrt(column_dot(normal, normal))  # flat ones, see `_flat_parts`
     if topology.part_count == 1:
         return cones.sum() > 0.0
     return bool((np.bincount(topology.parts, weights=cones) > 0.0).all())
@@ -99,6 +109,8 @@ def looks_usable(mesh: ClosedMesh) -> bool:
 
 def first_problem(mesh: ClosedMesh) -> str:
     """What makes a mesh unusable: one line that follows its name, "is open: ..."; empty for a usable mesh."""
+    if len(mesh.topology.open_edges) and (count := len(coincident_vertices(mesh))):
+        return f"{mesh.topology.problem}, or merge the {counted(count, 'vertex', 'vertices')} at the place of another"
     problem = mesh.topology.problem or size_problem(mesh) or mesh.surface.topology.problem
     return problem or ("" if looks_usable(mesh.surface) else first_geometric_problem(mesh))
 
@@ -132,9 +144,11 @@ def first_geometric_problem(mesh: ClosedMesh) -> str:
         return "has faces of four or more corners whose middles are at one place: move them apart"
     inward = inward_parts(mesh)
     if len(inward):
-        face = int(np.flatnonzero(mesh.topology.parts == inward[0])[0])
+        face, volumes = int(np.flatnonzero(mesh.topology.parts == inward[0])[0]), mesh.part_volumes()
+        if _flat_parts(mesh, volumes)[inward[0]]:
+            return f"is flat: the part with face {face} encloses no volume: move its sides apart"
         return (
-            f"looks inward: the part with face {face} encloses volume {mesh.part_volumes()[inward[0]]:.4g}: flip "
+            f"looks inward: the part with face {face} encloses volume {volumes[inward[0]]:.4g}: flip "
             "its faces to be anticlockwise seen from outside"
         )
     return ""

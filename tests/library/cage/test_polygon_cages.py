@@ -17,7 +17,7 @@ from polygon_cages import (
 )
 from refusals import refused
 
-from warpcage import Cage, PoseFile, RandomPoses
+from warpcage import Cage, PoseFile, RandomPoses, deform_points
 
 CAGES = {"cube": quad_cube, "warped": lambda: quad_box(2, 0.2), "mixed": mixed_prism, "concave": concave_prism}
 FORMATS = ["obj", "ply", "off", "usda", "usdc"]
@@ -203,6 +203,32 @@ def test_a_warped_dart_is_cut_at_its_notch_wherever_its_corners_begin(start, mir
     assert inside.tolist() == [True, False]
 
 
+def test_points_between_a_patch_and_the_triangles_of_a_kind_are_told_which_they_are():
+    cage = quad_box(2, 0.2)
+    points = np.random.default_rng(0).uniform(*cage.bounds, (20000, 3))
+    points = points[cage.contains(points) & ~cage.refined(1).contains(points)]
+    assert len(points)
+    refused(lambda: deform_points(points, cage, cage, "green"), match=r"the triangles of refined\(1\)$")
+    refused(lambda: deform_points(points + 9.0, cage, cage, "harmonic"), match="inside, mean_value for any$")
+
+
+def test_poses_that_are_refused_are_named_by_the_numbers_of_the_cage():
+    cage = quad_cube()
+    flat = CUBE_CORNERS * (1, 1, 0)
+    refused(lambda: deform_points([[0, 0, 0]], cage, flat, "harmonic"), match="^deformed cage has 4 vertices at")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_flat_cage_is_refused_however_its_volume_is_rounded(seed):
+    sheared = CUBE_CORNERS @ np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.3, 0.17, 0.0]])
+    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    problem = quad_cube().with_vertices(sheared @ turn.T).check().problem
+    assert problem.startswith("is flat: the part with face 0 encloses no volume")
+    sheared[:, 2] = 1e-5 * CUBE_CORNERS[:, 2]
+    thin = quad_cube().with_vertices(sheared @ (turn * np.linalg.det(turn)).T)
+    assert thin.check().usable and thin.volume == pytest.approx(8e-5, rel=1e-3)
+
+
 def test_faults_are_named_by_polygons():
     faces = [list(face) for face in CUBE_QUADS]
     assert "is open: 4 edges" in Cage(CUBE_CORNERS, faces[1:]).check().problem
@@ -212,6 +238,9 @@ def test_faults_are_named_by_polygons():
     assert inside_out.check().inward_parts == (0,) and inside_out.volume == pytest.approx(-8.0)
     flat = quad_cube().with_vertices(CUBE_CORNERS * (1, 1, 0))
     assert flat.check().problem
+    twice = np.concatenate([CUBE_CORNERS[list(face)] for face in CUBE_QUADS])
+    loose = Cage(twice, np.arange(24).reshape(6, 4))
+    assert loose.check().problem.endswith("or merge the 16 vertices at the place of another")
     crossing = quad_cube().move((0.0, 0.0, -3.0), group=[7])
     assert crossing.check().intersecting_faces
 

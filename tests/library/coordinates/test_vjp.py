@@ -150,6 +150,9 @@ def test_bad_slopes_are_refused(device):
             deform_points_vjp(points, cage, cage, slopes, kind, device=device)
     with pytest.raises(ValueError, match=r"must be \(2, 8\), got \(2, 7\)"):
         coordinates_vjp(points, cage, wp.zeros((2, 7), device=device), device=device)
+    for slopes in (None, np.zeros((2, 8)), wp.zeros((2, 8), dtype=wp.float64, device=device)):
+        with pytest.raises(ValueError, match="slopes by weights must be Warp arrays of float32, got"):
+            coordinates_vjp(points, cage, slopes, device=device)
     with pytest.raises(ValueError, match="through weights of harmonic"):
         coordinates_vjp(points, cage, wp.zeros((2, 8), device=device), "harmonic", device=device)
     quads = Cage(cage.vertices, [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
