@@ -156,7 +156,7 @@ class Cage(PosableMesh):
         reference: Cage | VoxelField | NodeSelection | SplatField | TriangleMesh | None = None,
         object: str | None = None,
     ) -> Cage:
-        """Read an OBJ, PLY, OFF or glTF file, or one of another package's format (`warpcage.mesh.MeshFormat`).
+        """Read an OBJ, PLY, OFF, glTF or USD file, or one of another package's format (`warpcage.mesh.MeshFormat`).
 
         All vertices keep their order, used or not, and polygons stay polygons; glTF has triangles alone. In glTF files,
         and in PLY files with texture coordinates or normals, vertices at one place that differ in these alone are one,
@@ -193,10 +193,10 @@ class Cage(PosableMesh):
         return cage
 
     def save(self, path: PathLike, *, up: str | None = None) -> None:
-        """Write an OBJ, PLY (binary), OFF or glTF (.glb, .gltf) file. It appears whole or not at all.
+        """Write an OBJ, PLY (binary), OFF, glTF (.glb, .gltf) or USD file. It appears whole or not at all.
 
-        Vertices keep their order. They keep every bit too, except in glTF, which holds float32. Polygons are written as
-        they came, except in glTF, which has triangles alone.
+        Vertices keep their order. They keep every bit too, except in glTF and USD, which hold float32. Polygons are
+        written as they came, except in glTF, which has triangles alone.
 
         Args:
             path: The file; its ending says which format it gets.
