@@ -420,7 +420,7 @@ def read_motion(
     if ending in MOTION_ENDINGS and rest is None:
         rest = Cage.load(path, up=up)
     if rest is None:
-        raise InputError(f"{str(path)!r} holds poses alone: give the cage at rest")
+        raise InputError(f"{str(path)!r} holds poses alone: give the cage at rest, or a pose file (.json) that has it")
     files = numbered_files(path)
     moving = sequence_poses(files, rest, fps=fps or DEFAULT_RATE, up=up) if files else None
     if ending in MOVING_ENDINGS:

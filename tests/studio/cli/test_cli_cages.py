@@ -165,6 +165,11 @@ def test_cages_of_quads_with_a_focus_say_what_they_are_made_of(tmp_path, capsys)
     assert main([*call, "--focus", str(tmp_path / "poses.json"), "--finer", "2"]) == 0
     finer = Cage.load(tmp_path / "cage.obj").vertices[:, 0]
     assert (finer > 0).sum() > (finer < 0).sum()
+    assert main([*call, "--focus", str(tmp_path / "brick.obj")]) == 2
+    assert "holds poses alone: give the cage at rest, or a pose file" in capsys.readouterr().err
+    assert main([*call, "--faces", "quads", "-o", str(tmp_path / "cage.glb")]) == 0
+    said = capsys.readouterr().out
+    assert f"{Cage.load(tmp_path / 'cage.glb').face_count} faces, 0 % of them quads" in said
     assert main([*call, "--focus", str(tmp_path / "part.npz")]) == 2
     assert "is a selection, which is of a field" in capsys.readouterr().err
     assert main([*call, "--finer", "3"]) == 2

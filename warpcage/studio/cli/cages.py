@@ -31,7 +31,7 @@ from ...core.names import counted
 from ...errors import InputError
 from ...field.surface import extract_mesh
 from ...mesh.io import ALL_OBJECTS, MOTION_ENDINGS, read_object
-from ...mesh.io.formats import mesh_endings
+from ...mesh.io.formats import mesh_endings, mesh_format
 from ...render.surface_file import SURFACE_ENDINGS, load_trimesh
 from ...select.objects import is_splats, matter_around
 from ...select.selection import NodeSelection, select_nodes
@@ -92,6 +92,8 @@ def run_cage(args: argparse.Namespace) -> None:
         )
     cage.require_usable("the cage")
     cage.save(output, up=args.cage_up)
+    if not mesh_format(output, "write").polygons:  # the file has the triangles
+        cage = Cage(cage.vertices, cage.faces)
     print(f"wrote {output}: {len(cage.vertices)} vertices, {cage.face_count} faces{_made_of(cage, args)}")
 
 
