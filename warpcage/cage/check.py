@@ -217,7 +217,8 @@ class CageReport:
         rows += [] if self.pose is None else self.pose.rows()
         problem = self.problem or ("" if self.pose is None else self.pose.problem)
         usable = "no" if not self.usable else "not as it stands" if self.standing else "yes"
-        rows.append(("usable", usable, f"the cage {problem}" if problem else ""))
+        which = "cage" if self.problem else "posed cage"
+        rows.append(("usable", usable, f"the {which} {problem}" if problem else ""))
         widths = [max(len(row[k]) for row in rows) for k in range(2)]
         return "\n".join(f"{a:<{widths[0]}}  {b:<{widths[1]}}  {c}".rstrip() for a, b, c in rows)
 

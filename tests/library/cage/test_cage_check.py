@@ -38,6 +38,7 @@ def test_a_fold_and_a_pose_turned_inside_out_are_told():
     mirrored = rod().with_vertices(rod().vertices * [-1, 1, 1])
     report = rod().check(pose=mirrored)
     assert not report.usable and not report.pose.usable and "looks inward" in str(report)
+    assert "the cage looks inward" not in str(report)  # the pose does
     assert json.loads(json.dumps(report.as_dict()))["pose"]["usable"] is False
 
 
