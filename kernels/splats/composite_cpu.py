@@ -27,10 +27,6 @@ def sum_tile_slopes(
     ...
 
 
-#: With opacities and depths.
-DEPTH_SLOPES = f"#define WITH_DEPTHS\n{native_source(__file__, 'cpp/composite_slopes_cpu.h')}#undef WITH_DEPTHS\n"
-
-
 @wp.kernel
 def sum_slopes_of_tiles(
     first: int,
