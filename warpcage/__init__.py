@@ -45,6 +45,8 @@ _HOMES = {
     "fitting.splats.optimizer": ["SplatFit"],
     "fitting.splats.options": ["SplatFitOptions"],
     "lattice.position_map": ["PositionMap"],
+    "pose_fits.fit": ["PoseFit", "fit_pose", "fit_poses"],
+    "pose_fits.targets": ["PoseTargets"],
     "render.sampled": ["SampledField"],
     "render.surface_mesh": ["SurfaceMesh"],
     "scene.load": ["load_scene"],
@@ -64,8 +66,8 @@ _HOMES = {
 }
 
 _PACKAGES = (
-    "cage coordinates core deform demo edits examples field fitting gradients interop jax kernels lattice mesh render "
-    "scene select splats studio torch view"
+    "cage coordinates core deform demo edits examples field fitting gradients interop jax kernels lattice mesh pose_fits "
+    "render scene select splats studio torch view"
 ).split()
 
 __getattr__, __dir__, __all__ = lazy_exports(__name__, _HOMES, _PACKAGES)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -31,6 +31,10 @@ from .fitting.splats.from_voxels import to_splats as to_splats
 from .fitting.splats.optimizer import SplatFit as SplatFit
 from .fitting.splats.options import SplatFitOptions as SplatFitOptions
 from .lattice.position_map import PositionMap as PositionMap
+from .pose_fits.fit import PoseFit as PoseFit
+from .pose_fits.fit import fit_pose as fit_pose
+from .pose_fits.fit import fit_poses as fit_poses
+from .pose_fits.targets import PoseTargets as PoseTargets
 from .render.sampled import SampledField as SampledField
 from .render.surface_mesh import SurfaceMesh as SurfaceMesh
 from .scene.load import load_scene as load_scene
@@ -75,6 +79,8 @@ __all__ = [
     "Place",
     "PlaceFile",
     "PoseFile",
+    "PoseFit",
+    "PoseTargets",
     "PositionMap",
     "RandomPoses",
     "RunReport",
@@ -97,6 +103,8 @@ __all__ = [
     "evaluate",
     "fill_unseen",
     "fit",
+    "fit_pose",
+    "fit_poses",
     "fit_splats",
     "green_coordinates",
     "harmonic_coordinates",

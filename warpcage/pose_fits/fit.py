@@ -1,0 +1,370 @@
+"""The pose of a cage that makes a deformed field look like pictures: coarse to fine, over pixels and over the cage."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from ..cage.cage import Cage
+from ..cage.pose_file import DEFAULT_RATE, PoseFile, posed_cage
+from ..core.checks import checked_flag, checked_whole, require_type
+from ..core.names import named_errors
+from ..core.reports import Progress, report_progress, reports_progress
+from ..deform.deformer import Deformer
+from ..errors import InputError
+from .motions import (
+    HANDLES,
+    PARAMETERS,
+    LinearMotion,
+    Motion,
+    RigidMotion,
+    affine_basis,
+    checked_parameters,
+    smooth_basis,
+)
+from .points import PointLoss
+from .priors import DEFAULT_WEIGHTS, Priors
+from .targets import PictureLoss, PoseTargets
+
+#: Cells of the lattice of the map during a fit, at most: poses are smooth.
+MAX_CELLS = 64
+
+#: Fewest pixels along the longer side of the pictures of a step.
+MIN_PIXELS = 24
+
+#: Of the starts that are tried, how many a rigid fit continues from; and the largest turn of one, degrees.
+CONTINUED, MAX_TURN = 3, 75.0
+
+#: Evaluations of such a rigid fit.
+TRIED = 10
+
+#: A step ends where the loss falls by less than this share; how many steps the curvature is taken from.
+ENOUGH, MEMORY = 1e-5, 20
+
+#: Vertices move by this share of the size for differences of frames.
+DIFFERENCE = 2e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class _Level:
+    """A step from coarse to fine."""
+
+    share: float  # of the pictures' pixels
+    blur: float  # standard deviation, pixels of the smaller pictures
+    evaluations: int
+
+
+#: Steps of PARAMETERS up to those that are fitted, and what follows with these.
+COARSE: dict[str, _Level] = dict(
+    zip(PARAMETERS, (_Level(1 / 8, 1.5, 25), _Level(1 / 4, 1.5, 20), _Level(1 / 4, 1.0, 30)), strict=False)
+)
+FINE = (_Level(1 / 2, 0.7, 30), _Level(1.0, 0.0, 25))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PoseStep:
+    """What a step of a fit of a pose did.
+
+    Attributes:
+        parameters: What moved: "rigid", "affine", "handles", "vertices", or "basis".
+        pixels: Pixels along the longer side of the pictures, 0 without pictures.
+        losses: Loss of each evaluation, with priors, in their order. Steps are not comparable.
+    """
+
+    parameters: str
+    pixels: int
+    losses: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PoseFit:
+    """A pose that was found.
+
+    Attributes:
+        cage: The posed cage.
+        loss: What is left, without priors: about the mean square of the differences of colours over the object's
+            pixels at the largest pictures that were compared, plus those of opacities, depths and points by their
+            weights.
+        history: The steps, from coarse to fine.
+        uncertainty: (v,) standard deviation of each vertex, world units, or None where it was not asked for: how far
+            smooth motions may move it while frames and pictures differ by no more than they do, as if differences
+            were noise. What no smooth motion or no noise explains is not in it, such as another light.
+    """
+
+    cage: Cage
+    loss: float
+    history: tuple[PoseStep, ...]
+    uncertainty: np.ndarray | None = None
+
+
+@reports_progress
+def fit_pose(
+    deformer: Deformer,
+    targets: Any,
+    *,
+    cameras: Any = None,
+    parameters: Any = "vertices",
+    regularize: float | Mapping[str, float] = DEFAULT_WEIGHTS["rigid"],
+    start: Any = None,
+    restarts: int = 16,
+    max_pixels: int = 400,
+    uncertainty: bool = False,
+    seed: int = 0,
+    progress: bool | Progress = False,
+) -> PoseFit:
+    """Find the pose of a cage from pictures of the object in that pose, or from points.
+
+    A sum of robust squares of differences of colours, opacities, depths and points is minimized by L-BFGS, coarse to
+    fine: first the whole cage moves, then an affine map of it, its smoothest shapes, all vertices; pictures begin at an
+    eighth of their size, blurred. See docs/fit_pose.md for what works and what does not.
+
+    Example::
+
+        found = fit_pose(Deformer(field, cage), load_scene("bent"))
+        found.cage.save("pose.obj")
+
+    Args:
+        deformer: A Deformer of one edit on a lattice. It is not changed: its pose stays.
+        targets: A Scene, such as `load_scene` reads; a PoseTargets with masks, depth, points or landmarks; or pictures
+            (n, h, w, 3) before white or (n, h, w, 4) with opacity, in [0, 1], with `cameras`.
+        cameras: For arrays of pictures, a Camera each, in the field's world.
+        parameters: What may move in the end: "rigid", "affine", "handles" (the 16 smoothest shapes of the cage),
+            "vertices"; or a basis: (v, k) shares of k vectors in each vertex, such as weights of handles, or (k, v, 3)
+            displacements, each times a number. A basis alone is fitted at all sizes, without what comes before.
+        regularize: Weight of the prior that vertices move rigidly with their neighbours (Sorkine and Alexa 2007), at
+            least 0; or weights by name: "rigid" (0.05 where it is not named), "volume" (of the square of the relative
+            change of volume), "start" (of the mean square distance from the start, as a share of the size).
+        start: The pose to begin with, as `Deformer.pose` takes one. None is the cage at rest.
+        restarts: How many turns of the start by up to 75 degrees are tried first, beside none, each shifted to where
+            the pictures show the object. 0 begins with the start itself.
+        max_pixels: Pixels along the longer side of the largest pictures that are compared; larger ones are averaged.
+        uncertainty: Whether the fit also finds how sure it is, which takes about as long as 50 evaluations.
+        seed: Of the turns.
+        progress: True shows a bar on stderr. A function is called with (done, total, message) after each evaluation,
+            and cancels the fit by returning False or by raising.
+
+    Returns:
+        The pose, with the loss that is left, the history, and the uncertainty.
+
+    Raises:
+        ValueError: For targets that do not fit together, a deformer of several edits or none on a lattice, unknown
+            parameters, weights below 0, or a start that is no pose of the cage.
+        Cancelled: Where `progress` returned False.
+    """
+    require_type(deformer, Deformer, "fit_pose needs a Deformer,")
+    checked_whole(restarts, "restarts", 0)
+    checked_whole(max_pixels, "max_pixels", 1)
+    checked_flag(uncertainty, "uncertainty")
+    checked_whole(seed, "seed", 0)
+    if len(deformer.edits) != 1 or deformer.edits[0].remove:
+        raise InputError("a pose is fitted for a deformer of one edit, which moves or copies")
+    rest = deformer.edits[0].cage
+    named = checked_parameters(parameters, len(rest.vertices))
+    begin = rest.vertices if start is None else posed_cage(rest, start, "the start of a fit").vertices
+    fit = _Fit(deformer, PoseTargets.of(targets, cameras), Priors(rest, begin, regularize), max_pixels, progress)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what poses on the way do
+        if restarts and not (isinstance(named, np.ndarray) or fit.pictures is None):
+            begin = fit.aligned(begin, restarts, seed)
+        return fit.run(named, begin, uncertainty)
+
+
+@reports_progress
+def fit_poses(
+    deformer: Deformer,
+    targets: Sequence[Any],
+    *,
+    times: Sequence[float] | None = None,
+    cameras: Any = None,
+    start: Any = None,
+    restarts: int = 16,
+    progress: bool | Progress = False,
+    **options: Any,
+) -> PoseFile:
+    """Find the poses of a sequence, each from its own pictures, beginning with the pose before.
+
+    Errors do not add up, as each pose is fitted to pictures. Give `regularize` with "start" to hold each pose near the
+    one before.
+
+    Args:
+        deformer: As for `fit_pose`.
+        targets: What `fit_pose` takes, one for each moment.
+        times: Seconds of the moments, increasing. None is 24 a second.
+        cameras: As for `fit_pose`, the same for all moments.
+        start: The pose to begin the first fit with. None is the cage at rest.
+        restarts: Turns that the first fit tries; later ones try none.
+        progress: As for `fit_pose`; done and total count moments.
+        options: More of `fit_pose`.
+
+    Returns:
+        A PoseFile with a key for each moment, "0000", "0001" and so on, in a straight line from each to the next.
+
+    Raises:
+        ValueError: As `fit_pose`, with the number of the moment; for no moments, or times that are not as many.
+        Cancelled: Where `progress` returned False.
+    """
+    moments = list(targets)
+    when = np.arange(len(moments)) / DEFAULT_RATE if times is None else np.asarray(times, np.float64)
+    if not moments or when.shape != (len(moments),) or not (np.diff(when) > 0).all():
+        raise InputError(f"times of poses must increase, one for each of {len(moments)} moments")
+    require_type(deformer, Deformer, "fit_poses needs a Deformer,")
+    file, pose = PoseFile(deformer.edits[0].cage), start
+    for number, moment in enumerate(moments):
+        report_progress(progress, number, len(moments), "fit poses")
+        with named_errors(f"moment {number}"):
+            pose = fit_pose(
+                deformer, moment, cameras=cameras, start=pose, restarts=0 if number else restarts, **options
+            ).cage
+        name = f"{number:04d}"
+        file[name], file.times[name], file.easings[name] = pose, float(when[number]), "linear"
+    report_progress(progress, len(moments), len(moments), "fit poses")
+    return file
+
+
+class _Fit:
+    """A fit: its losses by poses, and what it found so far."""
+
+    def __init__(
+        self, deformer: Deformer, targets: PoseTargets, priors: Priors, max_pixels: int, progress: bool | Progress
+    ):
+        resolution = None if deformer.resolution is None else min(deformer.resolution, MAX_CELLS)
+        options: dict[str, Any] = {"density": deformer.density, "map": deformer.map, "device": deformer.device}
+        self._deformer = Deformer(
+            deformer.field, deformer.edits, coordinates=deformer.coordinates, resolution=resolution, **options
+        )
+        self._rest, self._targets, self._priors = deformer.edits[0].cage, targets, priors
+        self._largest = min(targets.pixel_size, max_pixels)
+        self._points = None if targets.points is None else PointLoss(targets, self._rest, deformer.device)
+        self._history: list[PoseStep] = []
+        self._progress, self._done = progress, 0
+        self.pictures: PictureLoss | None = None
+        self._at(COARSE["rigid"])
+
+    def _at(self, level: _Level) -> None:
+        """Take pictures of this size."""
+        if self._targets.has_pictures:
+            size = max(round(level.share * self._largest), min(MIN_PIXELS, self._largest))
+            self.pictures = PictureLoss(self._targets, size, level.blur, self._rest.size)
+
+    def _loss(self, vertices: np.ndarray, *, with_gradient: bool = True) -> tuple[float, np.ndarray]:
+        """Loss of a pose without priors, and its gradient (v, 3)."""
+        loss, gradient = 0.0, np.zeros_like(vertices)
+        if self._points is not None:
+            loss, gradient = self._points(vertices)
+        if self.pictures is not None:
+            self._deformer.pose(vertices)
+            seen, by_vertices = self.pictures(self._deformer, with_gradient=with_gradient)
+            loss, gradient = loss + seen, gradient + by_vertices
+        self._done += 1
+        report_progress(self._progress, self._done, 0, f"fit pose: loss {loss:.5f}")
+        return loss, gradient
+
+    def aligned(self, start: np.ndarray, restarts: int, seed: int) -> np.ndarray:
+        """The best of several turns of a start, shifted to where the pictures show the object, after a short fit."""
+        assert self.pictures is not None
+        random, size = np.random.default_rng(seed), self._rest.size
+        axes = random.normal(size=(restarts, 3))
+        angles = np.radians(MAX_TURN) * random.random(restarts) ** (1 / 3)  # even in the ball of rotation vectors
+        turns = np.concatenate([np.zeros((1, 3)), angles[:, None] * axes / np.linalg.norm(axes, axis=1, keepdims=True)])
+        found = [(self._loss(start, with_gradient=False)[0], 0, start)]
+        for number, turn in enumerate(turns, 1):
+            turned = RigidMotion(start, size).vertices(np.concatenate([turn, np.zeros(3)]))
+            self._deformer.pose(turned)
+            shifted = turned + self.pictures.shift(self._deformer, turned.mean(axis=0))
+            found.append((self._loss(shifted, with_gradient=False)[0], number, shifted))
+        starts = [vertices for _, _, vertices in sorted(found, key=lambda each: each[:2])[:CONTINUED]]
+        tried = [self._minimize(RigidMotion(vertices, size), vertices, TRIED) for vertices in starts]
+        return min(tried, key=lambda each: each[0])[1]
+
+    def run(self, parameters: str | np.ndarray, vertices: np.ndarray, uncertainty: bool) -> PoseFit:
+        """All steps from a start."""
+        if isinstance(parameters, str):
+            names = [name for name in COARSE if PARAMETERS.index(name) <= PARAMETERS.index(parameters)]
+            steps = [(name, COARSE[name]) for name in names] + [(parameters, level) for level in FINE]
+        else:
+            steps = [("basis", level) for level in (COARSE["rigid"], COARSE["affine"], *FINE)]
+        for name, level in steps if self._targets.has_pictures else steps[:-1]:
+            self._at(level)
+            motion = self._motion(name, vertices, parameters)
+            _, vertices = self._minimize(motion, vertices, level.evaluations, name)
+        loss, _ = self._loss(vertices, with_gradient=False)
+        spread = self._uncertainty(vertices) if uncertainty else None
+        return PoseFit(self._rest.with_vertices(vertices), loss, tuple(self._history), spread)
+
+    def _motion(self, name: str, vertices: np.ndarray, parameters: Any) -> Motion:
+        """What moves in a step."""
+        if name == "rigid":
+            return RigidMotion(vertices, self._rest.size)
+        if name == "affine":
+            return LinearMotion(vertices, affine_basis(vertices, self._rest.size))
+        if name == "basis":
+            return LinearMotion(vertices, parameters)
+        return LinearMotion(vertices, smooth_basis(self._rest, HANDLES if name == "handles" else None))
+
+    def _minimize(
+        self, motion: Motion, start: np.ndarray, evaluations: int, name: str = "start"
+    ) -> tuple[float, np.ndarray]:
+        """Loss and vertices of the best pose along a descent from a start, which is kept in the history."""
+        best, losses = (np.inf, start), []
+        self._deformer.pose(start)
+        if self._points is not None:
+            self._points.settle(self._deformer)
+
+        def loss(numbers: np.ndarray) -> tuple[float, np.ndarray]:
+            nonlocal best
+            vertices = motion.vertices(numbers)
+            try:
+                value, gradient = self._loss(vertices)
+            except InputError:
+                if not losses:
+                    raise
+                return 10.0 * max(losses), np.zeros(motion.count)  # no pose: the step was too long
+            prior, by_prior = self._priors(vertices)
+            losses.append(value + prior)
+            if value + prior < best[0]:
+                best = value + prior, vertices
+            return value + prior, motion.pulled(numbers, gradient + by_prior)
+
+        options = {"maxfun": evaluations, "maxiter": evaluations, "ftol": ENOUGH, "maxcor": MEMORY}
+        minimize(loss, np.zeros(motion.count), jac=True, method="L-BFGS-B", options=options)
+        pixels = 0 if self.pictures is None else self.pictures.size
+        self._history.append(PoseStep(name, pixels, np.array(losses)))
+        return best
+
+    def _uncertainty(self, vertices: np.ndarray) -> np.ndarray:
+        """(v,) standard deviations of the vertices along smooth motions, world units."""
+        # Laplace's approximation: the inverse of Gauss-Newton's matrix, from differences of frames, and of the priors'
+        # curvature, times the variance of what is left; blurred pixels count as often as they are independent.
+        level = COARSE["handles"]
+        self._at(level)
+        basis, step = smooth_basis(self._rest, HANDLES), DIFFERENCE * self._rest.size
+        basis = basis / np.abs(basis).max(axis=0)
+        count = 3 * basis.shape[1]
+        before, (_, prior_before) = self._differences(vertices), self._priors(vertices)
+        columns, curvature = np.empty((len(before), count)), np.empty((count, count))
+        for number in range(count):
+            change = np.zeros((basis.shape[1], 3))
+            change.flat[number] = step
+            moved = vertices + basis @ change
+            columns[:, number] = (self._differences(moved) - before) / step
+            curvature[:, number] = (basis.T @ (self._priors(moved)[1] - prior_before)).ravel() / step
+        informed = int((np.abs(columns).max(axis=1) > 1e-6 * np.abs(columns).max()).sum())
+        variance = float(before @ before) / max(informed - count, 1)
+        if self.pictures is not None:
+            variance *= max(4 * np.pi * level.blur**2, 1.0)
+        values, vectors = np.linalg.eigh(columns.T @ columns + 0.25 * (curvature + curvature.T))
+        spread = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()) / variance)
+        return np.linalg.norm(np.tensordot(basis, spread.reshape(-1, 3, count), 1), axis=(1, 2))
+
+    def _differences(self, vertices: np.ndarray) -> np.ndarray:
+        """(m,) what is compared for a pose: the sum of its squares is the loss, but for the robust part."""
+        parts = [] if self._points is None else [self._points.differences(vertices)]
+        if self.pictures is not None:
+            self._deformer.pose(vertices)
+            parts.append(self.pictures.differences(self._deformer))
+        return np.concatenate(parts)

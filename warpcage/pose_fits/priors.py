@@ -1,0 +1,86 @@
+"""What is known of a pose before its pictures: near rigid, of the same volume, not far from the pose before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..core.checks import checked_number
+from ..core.names import checked_choice
+from ..mesh.mesh import ClosedMesh
+
+#: Weights of priors where `regularize` does not name them.
+DEFAULT_WEIGHTS = {"rigid": 0.05, "volume": 0.0, "start": 0.0}
+
+
+class Rigidity:
+    """How far a pose is from moving every vertex with its neighbours rigidly, as a share of the edges' squares."""
+
+    # "As-Rigid-As-Possible Surface Modeling" (Sorkine and Alexa 2007), Eq. 3 with weights 1 / length^2, over the edges
+    # of the rest cage. Rotations are the best ones of each pose, so that the gradient holds them (envelope theorem).
+
+    def __init__(self, rest: ClosedMesh):
+        self._rest = rest.vertices
+        self._first, self._second = np.concatenate([rest.edges, rest.edges[:, ::-1]]).T
+        self._edges = self._rest[self._first] - self._rest[self._second]
+        self._weights = 1.0 / np.maximum((self._edges**2).sum(axis=1), 1e-12 * rest.size**2) / len(self._edges)
+
+    def __call__(self, vertices: np.ndarray) -> tuple[float, np.ndarray]:
+        """The energy, and its gradient (v, 3)."""
+        posed = vertices[self._first] - vertices[self._second]
+        outer = self._weights[:, None, None] * posed[:, :, None] * self._edges[:, None, :]
+        sums = np.zeros((len(vertices), 3, 3))
+        np.add.at(sums, self._first, outer)
+        u, _, vt = np.linalg.svd(sums)
+        u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+        off = posed - np.einsum("eij,ej->ei", (u @ vt)[self._first], self._edges)
+        weighted = self._weights[:, None] * off
+        gradient = np.zeros_like(vertices)
+        np.add.at(gradient, self._first, 2 * weighted)
+        np.add.at(gradient, self._second, -2 * weighted)
+        return float((weighted * off).sum()), gradient
+
+
+def volume_change(rest: ClosedMesh, vertices: np.ndarray) -> tuple[float, np.ndarray]:
+    """Square of the change of volume, as a share of that at rest, and its gradient (v, 3)."""
+    gradient, before = np.zeros_like(vertices), _corners(rest, rest.vertices)
+    a, b, c = _corners(rest, vertices)
+    volume = np.einsum("fi,fi->", before[0], np.cross(before[1], before[2])) / 6
+    change = np.einsum("fi,fi->", a, np.cross(b, c)) / 6 / volume - 1
+    for corner, slope in enumerate((np.cross(b, c), np.cross(c, a), np.cross(a, b))):
+        np.add.at(gradient, rest.faces[:, corner], slope / 6)
+    return float(change**2), 2 * change / volume * gradient
+
+
+def _corners(mesh: ClosedMesh, vertices: np.ndarray) -> list[np.ndarray]:
+    """Corners of the triangles, three (f, 3), from their middle."""
+    return [(vertices - vertices.mean(axis=0))[mesh.faces[:, corner]] for corner in range(3)]
+
+
+class Priors:
+    """The sum of all priors of a fit, each by its weight."""
+
+    def __init__(self, rest: ClosedMesh, start: np.ndarray, regularize: float | Mapping[str, float]):
+        given: Any = regularize if isinstance(regularize, Mapping) else {"rigid": regularize}
+        for name, weight in given.items():
+            checked_choice(name, "a prior of regularize", tuple(DEFAULT_WEIGHTS))
+            checked_number(weight, f"regularize {name}", 0)
+        self._weights = DEFAULT_WEIGHTS | dict(given)
+        self._rest, self._start, self._rigidity = rest, start, Rigidity(rest)
+
+    def __call__(self, vertices: np.ndarray) -> tuple[float, np.ndarray]:
+        """The weighted sum for a pose, and its gradient (v, 3)."""
+        weights, moved = self._weights, (vertices - self._start) / self._rest.size
+        loss, gradient = 0.0, np.zeros_like(vertices)
+        terms = {
+            "rigid": lambda: self._rigidity(vertices),
+            "volume": lambda: volume_change(self._rest, vertices),
+            "start": lambda: ((moved**2).sum(axis=1).mean(), 2 * moved / (len(moved) * self._rest.size)),
+        }
+        for name, term in terms.items():
+            if weights[name]:
+                value, slope = term()
+                loss, gradient = loss + weights[name] * float(value), gradient + weights[name] * slope
+        return loss, gradient
