@@ -83,7 +83,7 @@ def help_text(command=""):
 def commands():
     """The commands, in the order of the help."""
     listed = re.search(r"^  command\n((?:    .*\n)+)", help_text(), re.MULTILINE)
-    return re.findall(r"^    (\w+)", listed[1], re.MULTILINE)
+    return re.findall(r"^    ([\w-]+)", listed[1], re.MULTILINE)
 
 
 def plain_help(text):

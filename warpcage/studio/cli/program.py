@@ -25,7 +25,7 @@ from .arguments import cages, fields, info, render, runs, scenes  # noqa: F401  
 from .arguments.options import COMMANDS, package_version
 
 ORDER = (  # of commands in their help
-    "capture fit select clean mesh cage check edit pose edits render animate sweep run bake evaluate info "
+    "capture fit select clean mesh cage check edit pose fit-pose edits render animate sweep run bake evaluate info "
     "demo doctor kernels".split()
 )
 
@@ -328,7 +328,9 @@ def _command(name: str) -> Callable[[argparse.Namespace], int | None]:
     collecting = gc.isenabled()
     gc.disable()
     try:
-        return getattr(importlib.import_module(f".{COMMANDS[name].module}", __package__), f"run_{name}")
+        return getattr(
+            importlib.import_module(f".{COMMANDS[name].module}", __package__), f"run_{name.replace('-', '_')}"
+        )
     finally:
         gc.freeze()
         if collecting:

@@ -1,4 +1,4 @@
-"""`warpcage capture`, `fit` and `evaluate`: from pictures to fields, and how good they are."""
+"""`warpcage capture`, `fit`, `fit-pose` and `evaluate`: from pictures to fields and poses, and how good they are."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import pathlib
 from ...core.files import atomic_path
 from ...core.names import FIT_BACKGROUNDS, counted
 from ...core.spec import names_of, options_of
+from ...deform.deformer import Deformer
+from ...edits.edits import MAX_CELLS
 from ...errors import InputError
 from ...field.voxel_field import VoxelField
 from ...fitting.cameras import tuned_scene
@@ -22,8 +24,11 @@ from ...fitting.evaluation import (
 )
 from ...fitting.fit import fit
 from ...fitting.memory import memory_size
+from ...mesh.io.formats import mesh_endings
+from ...pose_fits.fit import fit_pose
 from ...render.belonging import SceneViews
 from ...scene.formats.datasets.splatting import is_output
+from ...scene.load import load_scene
 from ...splats.io.formats import endings_written
 from ...splats.splat_field import SplatField
 from ...view.pictures import side_by_side, write_png
@@ -32,6 +37,7 @@ from ..films.render import require_voxels
 from ..spec.scene import SPLAT_FIT, VOXEL_FIT, FitSpec
 from . import shared
 from .arguments import options
+from .cameras import asset_resolver
 
 
 def run_capture(args: argparse.Namespace) -> None:
@@ -138,3 +144,24 @@ def _described(field: VoxelField | SplatField) -> str:
     size = "x".join(str(n) for n in field.resolution)
     behind = "" if field.background_model is None else f", {field.background_model.summary}"
     return f"{counted(field.voxel_count, 'voxel')} in a grid of {size}{behind}"
+
+
+def run_fit_pose(args: argparse.Namespace) -> None:
+    output = options.check_output(args.output, tuple(mesh_endings("write")), "cage file")
+    options.require_folder(args.pictures)
+    field, resolver = shared.read_field_file(args), asset_resolver()
+    rest = resolver.rest(args.cage, args.cage_up, field, object=args.cage_object)
+    start = None if args.start is None else resolver.pose(rest, args.start, shared.posed_up(args))
+    scene = load_scene(
+        args.pictures,
+        split=args.split,
+        downscale=args.downscale,
+        background="white" if args.background is None else args.background,
+        orient=field.straightening,
+    )
+    deformer = Deformer(field, rest.cage, **shared.shot_of(args).deformer_options(MAX_CELLS))
+    given = {name: getattr(args, name) for name in "parameters regularize restarts max_pixels seed".split()}
+    found = fit_pose(deformer, scene, start=start, **given, progress=not args.quiet)
+    found.cage.save(output)
+    evaluations = sum(len(step.losses) for step in found.history)
+    print(f"wrote {output}: {counted(len(scene), 'picture')}, {evaluations} evaluations, loss {found.loss:.3g}")

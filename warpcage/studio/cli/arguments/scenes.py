@@ -1,10 +1,23 @@
-"""Arguments of `warpcage capture`, `fit` and `evaluate`."""
+"""Arguments of `warpcage capture`, `fit`, `fit-pose` and `evaluate`."""
 
 from __future__ import annotations
 
 from ...spec.scene import FIT, SPLAT_FIT, FitSpec
 from ...spec.shot import COLORS
-from .options import FRAME, FRAME_VALUE, SCALE_AND_DEVICE, SCENE, SPLATS, command, flags_of, positive_float
+from .options import (
+    CAGE_UP_FOUND,
+    CAGES,
+    FRAME,
+    FRAME_VALUE,
+    SCALE_AND_DEVICE,
+    SCENE,
+    SPLATS,
+    command,
+    flags_of,
+    length,
+    positive_float,
+    whole_number,
+)
 
 command(
     "capture",
@@ -114,4 +127,43 @@ one of:
     split="test",
     scene={"nargs": "?"},
     frame=FRAME_VALUE,
+)
+
+command(
+    "fit-pose",
+    "scenes",
+    "find the pose of a cage in which a field looks like pictures of the object",
+    """\
+  warpcage fit-pose toy.npz --cage cage.obj --pictures bent -o pose.obj
+  warpcage fit-pose toy.npz --cage cage.obj --pictures bent -o pose.obj --parameters handles --max-pixels 200
+  warpcage render toy.npz --cage cage.obj --posed pose.obj --camera bent:0 -o found.png
+""",
+    f"""
+field
+--cage REST  cage around the object ({CAGES})
+--pictures SCENE  folder with pictures of the posed object and their cameras, in the field's world: with opacity, with
+    masks, or before one colour (formats as for warpcage fit)
+-o POSE  posed cage to write ({CAGES})
+--split
+--downscale
+--background COLOUR  {COLORS}: behind the object (default: white)
+--start POSED  pose to begin with, a cage file or a preset such as bend:40:x:z (default: the cage at rest)
+--parameters  what may move in the end; handles are the smoothest shapes of the cage (default: %(default)s)
+--regularize WEIGHT  weight of the prior that neighbours move rigidly (default: %(default)s)
+--restarts N  turns of the start that are tried first; 0 begins with the start itself (default: %(default)s)
+--max-pixels N  pixels along the longer side of the largest pictures that are compared (default: %(default)s)
+{CAGE_UP_FOUND}
+--posed-up
+--coordinates
+--seed
+--quiet
+""",
+    SCALE_AND_DEVICE,
+    cage={"required": True},
+    pictures={"required": True},
+    parameters={"choices": ("rigid", "affine", "handles", "vertices"), "default": "vertices"},
+    regularize={"type": length, "default": 0.05},
+    restarts={"type": whole_number, "default": 16},
+    max_pixels=400,
+    seed={"type": whole_number, "default": 0},
 )

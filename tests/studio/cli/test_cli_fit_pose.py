@@ -1,0 +1,57 @@
+"""`warpcage fit-pose`: a pose from a folder of pictures."""
+
+import numpy as np
+import pytest
+from runs import run, succeed, write_files
+
+from warpcage import Cage, Scene, turntable
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """The ball of `write_files`, and pictures of it by formula after a shift."""
+    folder = write_files(tmp_path_factory.mktemp("fit_pose"))
+    cameras = turntable((0, 0, 0), 3.0, 20, 4, width=28, height=24, fov_degrees=40)
+    images, alphas = zip(*(shifted_ball(camera) for camera in cameras), strict=True)
+    Scene(np.stack(images), np.stack(alphas), cameras).save(folder / "moved")
+    return folder
+
+
+SHIFT = np.array([0.12, -0.1, 0.08])
+
+
+def shifted_ball(camera):
+    """Colours (h, w, 3) before white and opacities (h, w): red above, blue below."""
+    origins, directions = camera.rays()
+    origins = origins - SHIFT
+    along = (origins * directions).sum(-1)
+    rest = along**2 - (origins**2).sum(-1) + 0.36  # half a voxel further out
+    alpha = (rest > 0).astype(np.float32)
+    height = (origins + (-along - np.sqrt(np.maximum(rest, 0)))[..., None] * directions)[..., 2:]
+    color = np.where(height > 0, [0.92, 0.08, 0.08], [0.08, 0.08, 0.92])
+    return (alpha[..., None] * color + 1 - alpha[..., None]).astype(np.float32), alpha
+
+
+def test_a_shift_is_found_and_written(files, capsys):
+    options = ("--parameters", "rigid", "--restarts", "0", "--quiet", "--device", "cpu")
+    command = ("fit-pose", "@ball.npz", "--cage", "@cage.obj", "--pictures", "@moved", "-o", "@found.obj")
+    succeed(files, *command, *options)
+    said = capsys.readouterr().out
+    assert "found.obj: 3 pictures, " in said and "evaluations, loss " in said
+    rest, found = (Cage.load(files / name) for name in ("cage.obj", "found.obj"))
+    np.testing.assert_allclose((found.vertices - rest.vertices).mean(axis=0), SHIFT, atol=0.03)
+    assert np.array_equal(found.faces, rest.faces)
+
+
+def test_what_is_missing_is_said_in_one_line(files, capsys):
+    command = ("fit-pose", "@ball.npz", "--cage", "@cage.obj")
+    for more, message in (
+        (("--pictures", "@nothing", "-o", "@new.obj"), "nothing"),
+        (("--pictures", "@moved", "-o", "@new.png"), "cage file"),
+        (("--pictures", "@moved", "-o", "@new.obj", "--start", "@other.obj"), "26"),
+        (("--pictures", "@moved"), "--output"),
+    ):
+        assert run(files, *command, *more) == 2
+        said = capsys.readouterr().err
+        assert message in said and said.count("\n") == 1, said
+    assert not (files / "new.obj").exists()
