@@ -29,12 +29,13 @@ EXAMPLES = pathlib.Path(__file__).resolve().parents[2] / "examples"
 SMALL = ("kernel_alone.py", "analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py")
 
 #: How long an example to read is at most.
-LINES = dict.fromkeys(SMALL, 75) | {"pipeline_step.py": 80, "nerfacc_render.py": 80}
+LINES = dict.fromkeys(SMALL, 75) | {"pipeline_step.py": 80, "nerfacc_render.py": 80, "torch_hash_grid.py": 130}
 
 #: What Warp prints by itself.
 NOISE = re.compile("^(Module |Warp [0-9])", re.MULTILINE)
 
-NEEDS = {"pipeline_step.py": "torch", "newton_soft_body.py": "newton", "nerfacc_render.py": "torch nerfacc"}
+NEEDS = {"pipeline_step.py": "torch", "newton_soft_body.py": "newton", "nerfacc_render.py": "torch nerfacc",
+         "torch_hash_grid.py": "torch"}  # fmt: skip
 
 #: The small ones one after another, each as loud as Warp is by itself.
 PROGRAM = """\
@@ -80,7 +81,7 @@ def summary(out):
 def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("[a-z]*.py")}
     text = pathlib.Path(__file__).read_text(encoding="utf-8")
-    assert len(names) == 15 and [name for name in names if f'run("{name}"' not in text and name not in SMALL] == []
+    assert len(names) == 16 and [name for name in names if f'run("{name}"' not in text and name not in SMALL] == []
     for name, most in LINES.items():
         assert len((EXAMPLES / name).read_text().splitlines()) < most
 
@@ -124,6 +125,13 @@ def test_a_step_of_a_pipeline(run, tmp_path):
 def test_another_renderer_of_fields(run):
     pytest.importorskip("torch"), pytest.importorskip("nerfacc")
     assert float(re.search(r"within (\S+) dB", run("nerfacc_render.py"))[1]) > 50.0
+
+
+def test_a_hash_grid_of_torch_is_bent(run, tmp_path):
+    pytest.importorskip("torch")
+    said = run("torch_hash_grid.py", "--steps 12 --size 24 --out grid.png")
+    assert float(re.search(r"within (\S+) dB of warpcage's", said)[1]) > 35.0
+    assert read_image(tmp_path / "grid.png").shape[:2] == (24, 72)
 
 
 def test_a_soft_body_carries_what_it_holds(run, tmp_path):
