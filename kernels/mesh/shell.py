@@ -275,3 +275,20 @@ def measure_nearest(
         limit = wp.min(limit * GROWTH, most)
         best = least_squared(x[n], limit, points, starts, shape, lower, spacing)
     distance[n] = wp.sqrt(best)
+
+
+@wp.kernel
+def find_largest_balls(
+    first: int,
+    x: wp.array(dtype=wp.vec3d),
+    middles: wp.array(dtype=wp.vec3d),
+    reaches: wp.array(dtype=wp.float64),
+    found: wp.array(dtype=int),
+):
+    """The first (n,) of balls, given by middles and reaches (b,), in which x (n,) lies; their count for none."""
+    n = first + wp.tid()
+    place = x[n]
+    ball = int(0)
+    while ball < reaches.shape[0] and wp.length_sq(middles[ball] - place) > reaches[ball] * reaches[ball]:
+        ball += 1
+    found[n] = ball

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import warp as wp
 
+from ...core.devices import launch
+from ...kernels.mesh.shell import find_largest_balls
 from .decimate import Sizing, relative_sizes
-from .distance import ObjectShell
+from .distance import ObjectShell, on_cpu
 from .mirror import reflected
 
 #: How far beyond a ball inside the object its surface still counts as that ball's, in radii and in voxels: a square rod
@@ -49,13 +52,13 @@ def thickness(shell: ObjectShell, x: np.ndarray, level: float) -> np.ndarray:
     least = scipy.ndimage.maximum_filter(inside, size=3)
     middles = np.argwhere((inside > 0.5) & (inside >= least - 0.3))
     radii = inside[tuple(middles.T)]
-    order = np.argsort(radii)
+    order = np.argsort(-radii, kind="stable")  # the largest first
     radii, middles = radii[order], middles[order]
-    tree = scipy.spatial.KDTree((x - shell.lower) / shell.spacing)
-    near = tree.query_ball_point(middles, _TOUCH * radii + _TOUCH_VOXELS)
-    found = np.zeros(len(x))
-    for radius, rows in zip(radii.tolist(), near, strict=True):
-        found[rows] = radius  # the largest comes last
+    ball = np.empty(len(x), dtype=np.int32)
+    inputs = [on_cpu((x - shell.lower) / shell.spacing, wp.vec3d), on_cpu(middles.astype(np.float64), wp.vec3d)]
+    inputs += [on_cpu(_TOUCH * radii + _TOUCH_VOXELS, wp.float64)]
+    launch(find_largest_balls, len(x), inputs, [on_cpu(ball, wp.int32)], device="cpu", work=len(radii) / 4)
+    found = np.append(radii, 0.0)[ball]
     bare = found == 0.0
     if bare.any() and not bare.all():
         found[bare] = found[~bare][scipy.spatial.KDTree(x[~bare]).query(x[bare])[1]]
