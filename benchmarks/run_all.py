@@ -53,6 +53,7 @@ QUICK = {
     "cages_generated": "cages generated --scenes thin --counts 42 --resolution 24",
     "cages_shapes": "cages shapes --shapes box --counts 42 --runs 1 --out {out}/shapes",
     "random_cages": "random-cages --count 1 --vertices 12 20 --json {out}/random_cages.json",
+    "cages_limbs": "cages limbs --shapes ear --count 42 --samples 200 --json {out}/limbs.json",
     "cages_random_poses": "cages random-poses {of} --count 2 --carried 1 --size 60 --sheet {out}/random.jpg"
     " --json {out}/random_poses.json",
     "lattice_by_size": "coordinates lattice-by-size {of} --sizes 40 --cells 12 --fine 24 --coordinates mean_value"
@@ -86,8 +87,8 @@ QUICK = {
 #: Of these, those that --quick leaves to --all: what breaks them breaks a test or one of the others too.
 LONG = (
     "compile batch_kills truth batch_scale table1 splats_truth every_kernel same_bits coverage captures"
-    " cages_generated cages_shapes random_cages cages_random_poses lattice_by_size editor by_turns batch_memory"
-    " page_batch_scale page_captures page_trends page_results"
+    " cages_generated cages_shapes cages_limbs random_cages cages_random_poses lattice_by_size editor by_turns"
+    " batch_memory page_batch_scale page_captures page_trends page_results"
 ).split()
 
 

@@ -117,10 +117,15 @@ def plant() -> Mesh:
     return marched(cones(stems, 0.01), leaves(ends, (0.26, 0.14, 0.04)))
 
 
-def two_arms() -> Mesh:
-    """Two arms side by side, a tenth of their length apart, on one shoulder."""
+def arms(apart: float) -> list[tuple[float, ...]]:
+    """Two arms side by side on one shoulder, their middles so far apart."""
     shoulder = (-0.8, -0.28, 0.0, -0.8, 0.28, 0.0, 0.22, 0.22)
-    return marched(cones([shoulder, *mirrored([(-0.8, 0.16, 0.0, 0.9, 0.16, 0.0, 0.11, 0.09)])], 0.02))
+    return [shoulder, *mirrored([(-0.8, 0.5 * apart, 0.0, 0.9, 0.5 * apart, 0.0, 0.11, 0.09)])]
+
+
+def two_arms() -> Mesh:
+    """Two arms side by side, a tenth of their length apart."""
+    return marched(cones(arms(0.32)))
 
 
 def with_trimesh(name: str, **options) -> Callable[[], Mesh]:
@@ -170,6 +175,60 @@ SHAPES = {
     "torus": with_trimesh("torus", major_radius=0.8, minor_radius=0.16, major_sections=160, minor_sections=60),
     "demo": demo_field,
 }
+
+
+# Limbs that bend by themselves
+
+
+def fingers() -> list[tuple[float, ...]]:
+    palm = [(-0.5, y, 0.0, 0.0, y, 0.0, 0.14, 0.12) for y in (-0.27, -0.09, 0.09, 0.27)]
+    long = [(0.0, y, 0.0, end, y, 0.0, 0.08, 0.06) for y, end in ((-0.3, 0.55), (-0.1, 0.75), (0.1, 0.7), (0.3, 0.6))]
+    return [*long, *palm, (-0.4, 0.3, 0.0, 0.1, 0.75, 0.0, 0.1, 0.07)]
+
+
+def tentacles() -> list[tuple[float, ...]]:
+    turns = np.arange(8) * 0.25 * np.pi
+    ends = [(0.95 * float(np.cos(turn)), 0.95 * float(np.sin(turn))) for turn in turns]
+    return [*((0.0, 0.0, -0.2, x, y, -0.5, 0.14, 0.05) for x, y in ends), (0.0, 0.0, -0.1, 0.0, 0.0, 0.3, 0.3, 0.34)]
+
+
+def figure() -> list[tuple[float, ...]]:
+    sides = [(0.0, 0.3, 0.4, 0.0, 0.36, -0.25, 0.09, 0.06), (0.0, 0.12, -0.1, 0.0, 0.2, -1.05, 0.13, 0.08)]
+    return [*mirrored(sides), (0.0, 0.0, -0.1, 0.0, 0.0, 0.4, 0.16, 0.2), (0.0, 0.0, 0.7, 0.0, 0.0, 0.8, 0.15, 0.15)]
+
+
+def animal_on_legs() -> list[tuple[float, ...]]:
+    legs = [(x, 0.2, -0.1, x, 0.22, -0.85, 0.13, 0.08) for x in (-0.55, 0.5)]
+    ears = [(0.85, 0.1, 0.45, 0.8, 0.22, 0.85, 0.06, 0.04)]
+    return [*mirrored([*legs, *ears]), (-0.55, 0, 0, 0.5, 0, 0, 0.27, 0.27), (0.6, 0, 0.2, 0.95, 0, 0.35, 0.17, 0.12)]
+
+
+#: Name: the cones of a shape, and which of them bends, without the others.
+LIMBS = {
+    "two arms": (arms(0.32), 1),
+    "near arms": (arms(0.28), 1),
+    "finger": (fingers(), 1),
+    "thumb": (fingers(), 8),
+    "octopus": (tentacles(), 2),
+    "arm": (figure(), 0),
+    "leg": (figure(), 1),
+    "hind leg": (animal_on_legs(), 0),
+    "ear": (animal_on_legs(), 2),
+}
+
+
+def bent(rows: list[tuple[float, ...]], number: int, points: np.ndarray, degrees: float) -> np.ndarray:
+    """Where points (n, 3) are once the outer half of a cone is turned about its middle, smoothly over a third of it."""
+    from scipy.spatial.transform import Rotation
+
+    start, end = np.array(rows[number][:3]), np.array(rows[number][3:6])
+    along, middle = end - start, 0.5 * (start + end)
+    share = np.clip(((points - middle) @ along) / (along @ along) / 0.33 + 0.5, 0.0, 1.0)
+    share = share * share * (3.0 - 2.0 * share)
+    share[np.argmin([cones([row])(points) for row in rows], axis=0) != number] = 0.0
+    axis = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    turns = Rotation.from_rotvec(np.radians(degrees) * share[:, None] * axis / np.linalg.norm(axis))
+    return middle + turns.apply(points - middle)
 
 
 # What a cage is measured by

@@ -14,7 +14,7 @@ import time
 import numpy as np
 from common import HERE, JSON, KINDS, command, option, write_results
 from library.by_turns import ask, revision_of, started
-from shapes import SHAPES, Shape, gap_points, grown, shape_of, topology
+from shapes import LIMBS, SHAPES, Shape, bent, cones, gap_points, grown, marched, shape_of, topology
 
 import warpcage
 from warpcage.cage import check_pose, face_samples, grid_points
@@ -361,6 +361,58 @@ def picture_of(shape: Shape, cage, size: int) -> np.ndarray:
     else:
         picture = np.clip(shape.object.render(camera, background="white").rgb, 0.0, 1.0)
     return np.clip(draw_cage(picture, camera, cage), 0.0, 1.0)
+
+
+# Local poses
+
+
+@command(
+    option("--shapes", nargs="*", choices=list(LIMBS), default=list(LIMBS), metavar="SHAPE", help="(default: all)"),
+    option("--count", type=int, default=100, help="vertices (default: 100)"),
+    option("--degrees", type=float, default=40.0, help="how far a limb bends (default: 40)"),
+    option("--samples", type=int, default=1500, help="points on the surface (default: 1500)"),
+    JSON,
+)
+def limbs(args) -> None:
+    """How near cages by parts and even ones can follow a bend of one limb, whose true places are known.
+
+        python benchmarks cages limbs --json limbs.json
+
+    Points on the surface and where the bend takes them; the cage's vertices are fitted to these by least squares over
+    the points' harmonic coordinates, those that hardly count being held. Even, parts: RMS of what is left, in percent
+    of the RMS of the moves of points that move; dB: 20 log10 of the ratio of the two, positive where parts are nearer.
+    """
+    import trimesh
+
+    rows = []
+    print(f"{'shape':10}{'points':>8}{'even':>9}{'parts':>9}{'dB':>7}")
+    for name in args.shapes:
+        solid, number = LIMBS[name]
+        mesh = trimesh.Trimesh(*marched(cones(solid)), process=False)
+        points = np.asarray(trimesh.sample.sample_surface(mesh, args.samples, seed=0)[0])
+        moves = bent(solid, number, points, args.degrees) - points
+        moving = np.linalg.norm(moves, axis=1) > 1e-9
+        unit = np.sqrt((moves[moving] ** 2).sum(axis=1).mean())
+        cages = {detail: warpcage.Cage.from_mesh(mesh, args.count, detail=detail) for detail in ("even", "parts")}
+        left = {detail: left_of(cage, points, moves) / unit for detail, cage in cages.items()}
+        rows.append(
+            {"shape": name, "moving": int(moving.sum()), **left, "db": 20 * np.log10(left["even"] / left["parts"])}
+        )
+        print(
+            f"{name:10}{moving.sum():8d}{100 * left['even']:8.2f}%{100 * left['parts']:8.2f}%{rows[-1]['db']:7.1f}",
+            flush=True,
+        )
+    median = statistics.median(row["db"] for row in rows)
+    print(f"median of {len(rows)}: {median:.1f} dB")
+    write_results(args.json, None, rows=rows, median_db=median)
+
+
+def left_of(cage, points: np.ndarray, moves: np.ndarray) -> float:
+    """RMS of what moves (n, 3) of points (n, 3) the vertices of a cage leave, by least squares."""
+    weights = np.asarray(warpcage.harmonic_coordinates(points, cage, 64), np.float64)
+    held = np.concatenate([weights, 0.01 * np.eye(len(cage.vertices))])
+    found = np.linalg.lstsq(held, np.concatenate([moves, 0.0 * cage.vertices]), rcond=None)[0]
+    return float(np.sqrt(((weights @ found - moves) ** 2).sum(axis=1).mean()))
 
 
 # Random poses
