@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
 from ..cage.cage import Cage
 from ..cage.pose_file import DEFAULT_RATE, PoseFile, posed_cage
@@ -68,17 +67,11 @@ FINE = (_Level(1 / 2, 0.7, 30), _Level(1.0, 0.0, 25))
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PoseStep:
-    """What a step of a fit of a pose did.
+    """What a step of a fit of a pose did."""
 
-    Attributes:
-        parameters: What moved: "rigid", "affine", "handles", "vertices", or "basis".
-        pixels: Pixels along the longer side of the pictures, 0 without pictures.
-        losses: Loss of each evaluation, with priors, in their order. Steps are not comparable.
-    """
-
-    parameters: str
-    pixels: int
-    losses: np.ndarray
+    parameters: str  # what moved: "start", "rigid", "affine", "handles", "vertices" or "basis"
+    pixels: int  # along the longer side of the pictures, 0 without pictures
+    losses: np.ndarray  # of each evaluation, with priors, in their order; those of other steps are of other pictures
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -310,6 +303,8 @@ class _Fit:
         self, motion: Motion, start: np.ndarray, evaluations: int, name: str = "start"
     ) -> tuple[float, np.ndarray]:
         """Loss and vertices of the best pose along a descent from a start, which is kept in the history."""
+        from scipy.optimize import minimize
+
         best, losses = (np.inf, start), []
         self._deformer.pose(start)
         if self._points is not None:

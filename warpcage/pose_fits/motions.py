@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..core.checks import real_array
 from ..core.names import checked_choice
@@ -43,14 +42,20 @@ class RigidMotion:
 
     def vertices(self, numbers: np.ndarray) -> np.ndarray:
         """(v, 3) where the numbers (6,) take the vertices."""
-        turned = Rotation.from_rotvec(numbers[:3]).apply(self._offsets)
+        turned = self._turned(numbers[:3])
         return self._center + self._size * numbers[3:] + turned
 
     def pulled(self, numbers: np.ndarray, by_vertices: np.ndarray) -> np.ndarray:
         """Gradient by the numbers (6,), from that by the vertices (v, 3)."""
-        turned = Rotation.from_rotvec(numbers[:3]).apply(self._offsets)
+        turned = self._turned(numbers[:3])
         torque = np.cross(turned, by_vertices).sum(axis=0)
         return np.concatenate([_left_jacobian(numbers[:3]).T @ torque, self._size * by_vertices.sum(axis=0)])
+
+    def _turned(self, vector: np.ndarray) -> np.ndarray:
+        """The offsets (v, 3) from the middle after a turn."""
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_rotvec(vector).apply(self._offsets)
 
 
 def _left_jacobian(vector: np.ndarray) -> np.ndarray:

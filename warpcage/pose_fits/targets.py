@@ -125,7 +125,18 @@ class PoseTargets:
 
     @classmethod
     def of(cls, targets: Any, cameras: Any = None) -> PoseTargets:
-        """Targets as `fit_pose` takes them."""
+        """What `fit_pose` makes of its targets.
+
+        Args:
+            targets: A PoseTargets, a Scene, or pictures (n, h, w, 3) or (n, h, w, 4).
+            cameras: For pictures, a Camera each.
+
+        Returns:
+            The targets.
+
+        Raises:
+            ValueError: For cameras beside a Scene or a PoseTargets, and as the constructor.
+        """
         if isinstance(targets, cls | Scene) and cameras is not None:
             raise InputError(f"cameras are for arrays of pictures, {type(targets).__name__} has its own")
         if isinstance(targets, cls):
