@@ -301,6 +301,21 @@ def blender_files(files: list[dict]) -> list[str]:
     return [table(head, rows), *(f"Blender {found['blender']}: {source(found)}" for found in files)]
 
 
+# Poses from pictures
+
+
+def poses_known(files: list[dict]) -> list[str]:
+    head = ["scene", "pose", "what is known", "rms at the start", "rms found", "largest", "seconds"]
+    rows = [
+        [row["scene"], row["pose"], row["case"], f"{row['start']:.1%}", f"**{row['rms']:.2%}**", f"{row['worst']:.2%}"]
+        + [f"{row['seconds']:.0f}"]
+        for found in files
+        for row in found["rows"]
+    ]
+    of_size = f"Pictures of {files[0]['size']}x{files[0]['size']} pixels, {NAMES[files[0]['kind']]} coordinates.\n"
+    return [of_size, table(head, rows)]
+
+
 # Pages
 
 #: Of each page: names of its blocks, the files that each is made of, and by what.
@@ -330,6 +345,7 @@ PAGES = {
     },
     "captures": {"captures": ("captures*.json", captures)},
     "trends": {"trends": ("trend*.json", trends)},
+    "fit-pose": {"known": ("poses_known*.json", with_sources(poses_known))},
     "fits": {"fits": ("fits*.json", fits)},
     "fits-of-captures": {"fits": ("scenes*.json", fits_of_captures)},
     "frames": {"frames": ("frames*.json", frames), "poses": ("frames*.json", poses)},

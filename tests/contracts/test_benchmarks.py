@@ -10,7 +10,7 @@ import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
-PAGES = "results blender fits fits_of_captures trends captures splats_views frames select batch_scale".split()
+PAGES = "results blender fit_pose fits fits_of_captures trends captures splats_views frames select batch_scale".split()
 
 PROGRAM = """
 import contextlib, io, re, runpy, sys

@@ -1,0 +1,140 @@
+"""Known poses found again from ray cast pictures of the posed model."""
+
+from __future__ import annotations
+
+import pathlib
+import time
+
+import numpy as np
+from common import DEVICE, JSON, QUICK, command, option, quiet_device, write_jpeg, write_results
+
+import warpcage
+from warpcage.fitting import error_image
+from warpcage.view import contact_sheet
+
+from .truth import POSES, SCENES, TruthScene, inverted, pose_cages
+
+#: What is known of a pose, and where a fit begins: pictures, masks, depths, landmarks, degrees off about z.
+CASES = {
+    "8 pictures": (8, False, False, 0, 0),
+    "8 pictures, masks": (8, True, False, 0, 0),
+    "8 pictures, start 40 degrees off": (8, False, False, 0, 40),
+    "2 pictures": (2, False, False, 0, 0),
+    "2 pictures, masks": (2, True, False, 0, 0),
+    "2 pictures, depth": (2, False, True, 0, 0),
+    "1 picture": (1, False, False, 0, 0),
+    "1 picture, depth": (1, False, True, 0, 0),
+    "1 picture, 8 landmarks in space": (1, False, False, 8, 0),
+}
+
+#: Pixels along each side of a cell of the figure, about.
+SHOWN = 256
+
+#: RMS as a share of the cage's size below which a pose counts as found.
+FOUND = 0.01
+
+
+@command(
+    DEVICE,
+    option("--scenes", nargs="*", default=list(SCENES)),
+    option("--poses", nargs="*", default=list(POSES)),
+    option(
+        "--cases", nargs="*", default=["8 pictures"], choices=list(CASES), help="what is known; default: 8 pictures"
+    ),
+    option("--kind", default="mean_value", help="coordinates of the truth and of the fit"),
+    option("--resolution", type=int, default=64, help="cells of the map's lattice"),
+    option("--size", type=int, default=400, help="pixels along each side"),
+    option("--train-views", type=int, default=120),
+    option("--samples", type=int, default=3, help="rays along each side of a pixel, for the ray caster"),
+    option("--edge", type=float, default=0.08, help="longest edge of the models' triangles"),
+    option("--cuts", type=int, default=2, help="cuts of each face into boundary elements, for harmonic truth"),
+    option("--quality", default="standard", help="quality of the fits of the fields"),
+    option("--figure", help="picture (.jpg): target, start, found, difference, a line for each scene's last pose"),
+    JSON,
+    QUICK,
+)
+def known(args) -> None:
+    """Known poses found again: the error of fit_pose from pictures that a ray caster made of the posed model.
+
+        python benchmarks poses known --device cuda:0 --json docs/results/poses_known.json --figure fit_pose.jpg
+        python benchmarks poses known --quick
+
+    A field is fitted to pictures of the model at rest. The truth of a pose is the model itself, its vertices posed in
+    float64 (truth.py), seen by 8 cameras around it; fit_pose begins with the cage at rest. "rms" is the root mean
+    square, over the model's vertices, of the distance between where the true and the found pose take them, as a share
+    of the cage's size; "start" the same of the start; "worst" the largest distance. A pose counts as found below 1 %.
+    """
+    if args.quick:
+        args.device, args.size, args.train_views, args.samples = "cpu", 48, 30, 2
+        args.scenes, args.poses, args.resolution = ["animal"], ["bend"], 24
+        args.edge, args.cuts, args.quality = 0.15, 1, "fast"
+    args.test_views = 8
+    device = quiet_device(args.device)
+    rows, lines = [], []
+    for name in args.scenes:
+        scene = TruthScene(name, args, device)
+        field = warpcage.fit(scene.training(), device=device, quality=args.quality, progress=False)
+        deformer = warpcage.Deformer(
+            field, scene.cage, coordinates=args.kind, resolution=args.resolution, device=device
+        )
+        line = []
+        for pose, posed in pose_cages(name, scene.cage).items():
+            if pose not in args.poses:
+                continue
+            views = scene.posed_views(posed, args.kind)[0]["carried"]
+            truth = inverted(name, scene.mesh, scene.cage, posed, args.kind, device, cuts=args.cuts).points
+
+            def distances(cage, truth=truth, scene=scene):
+                found = inverted(scene.name, scene.mesh, scene.cage, cage, args.kind, device, cuts=args.cuts).points
+                return np.linalg.norm(found - truth, axis=1) / scene.cage.size
+
+            for case in args.cases:
+                start = scene.cage.rotate(CASES[case][4], axis="z")
+                begin = time.perf_counter()
+                found = warpcage.fit_pose(deformer, _targets(case, scene, views, truth), start=start)
+                seconds = time.perf_counter() - begin
+                off = distances(found.cage)
+                row = {"scene": name, "pose": pose, "case": case, "start": _rms(distances(start)), "rms": _rms(off)}
+                row |= {"worst": float(off.max()), "seconds": seconds, "loss": found.loss}
+                row["evaluations"] = sum(len(step.losses) for step in found.history)
+                rows.append(row)
+                print(row, flush=True)
+                rest, seen = (
+                    deformer.posed(cage).render(views[0].camera, background="white").rgb for cage in (start, found.cage)
+                )
+                line = [views[0].image, rest, seen, error_image(seen, views[0].image)]
+                if args.json:
+                    given = {
+                        name: getattr(args, name) for name in ("size", "train_views", "kind", "resolution", "quality")
+                    }
+                    write_results(args.json, device, **given, rows=rows)
+        lines.append(line)
+    for case in args.cases:
+        of_case = [row["rms"] for row in rows if row["case"] == case]
+        print(f"{case}: {sum(rms < FOUND for rms in of_case)} of {len(of_case)} found, median {np.median(of_case):.2%}")
+    if args.figure:
+        side = max(1, SHOWN // args.size)  # small pictures are shown with large pixels
+        cells = [np.clip(cell, 0, 1).repeat(side, axis=0).repeat(side, axis=1) for line in lines for cell in line]
+        sheet = contact_sheet(cells, columns=4)
+        write_jpeg(pathlib.Path(args.figure), sheet, quality=85)
+
+
+def _targets(case: str, scene: TruthScene, views: list, truth: np.ndarray) -> warpcage.PoseTargets:
+    """What a case knows of a pose; views all around come first."""
+    count, has_masks, has_depth, landmarks, _ = CASES[case]
+    chosen = [views[round(number * len(views) / count * 0.75) % len(views)] for number in range(count)]
+    chosen = views if count == len(views) else chosen
+    parts: dict = {"images": np.stack([view.image for view in chosen])}
+    depths = np.stack([view.depth for view in chosen])
+    if has_masks:  # of whole pixels: those at the rim count as the background
+        parts["alphas"] = np.isfinite(depths).astype(np.float32)
+    if has_depth:
+        parts["depths"] = depths
+    if landmarks:
+        picked = np.random.default_rng(0).choice(len(truth), landmarks, replace=False)
+        parts |= {"points": scene.mesh.vertices[picked], "positions": truth[picked]}
+    return warpcage.PoseTargets([view.camera for view in chosen], **parts)
+
+
+def _rms(distances: np.ndarray) -> float:
+    return float(np.sqrt((distances**2).mean()))
