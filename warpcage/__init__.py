@@ -66,8 +66,8 @@ _HOMES = {
 }
 
 _PACKAGES = (
-    "cage coordinates core deform demo edits examples field fitting gradients interop jax kernels lattice mesh pose_fits "
-    "render scene select splats studio torch view"
+    "cage coordinates core deform demo edits examples field fitting gradients interop jax kernels lattice mesh "
+    "pose_fits render scene select splats studio torch view"
 ).split()
 
 __getattr__, __dir__, __all__ = lazy_exports(__name__, _HOMES, _PACKAGES)  # pyright: ignore[reportUnsupportedDunderAll]
