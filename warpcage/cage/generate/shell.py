@@ -60,6 +60,9 @@ _LOOSE, STRAYS = "it could not be drawn close", "a vertex is far off the object"
 #: Share of the object's voxels from which free places that a closing fills are worth a word.
 _FILLED = 0.05
 
+#: Cosine between the normals of neighbours below which they lie on each other: they meet at less than 2.6 degrees.
+_FOLDED = -0.999
+
 #: Least share of a way, beyond none, that vertices go whose faces would pass through others.
 _MIN_WAY = 0.2
 
@@ -306,7 +309,20 @@ def tangle(shell, vertices, faces) -> str:
         return "it leaves a part of the object out"
     if len(intersecting_faces(vertices, faces)):
         return "it passes through itself"
+    if sharpest(vertices, faces) < _FOLDED:
+        return "two of its faces lie on each other"
     return ""
+
+
+def sharpest(vertices, faces) -> float:
+    """Least cosine between the normals of two faces of a closed mesh that share an edge: -1 where they lie on each
+    other."""
+    a, b, c = np.swapaxes(vertices[faces], 0, 1)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    one, two = np.lexsort(edges.T).reshape(-1, 2).T // 3
+    return float(np.einsum("ei,ei->e", normals[one], normals[two]).min())
 
 
 def _load_pymeshlab() -> Any:
