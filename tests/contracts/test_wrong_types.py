@@ -145,8 +145,8 @@ HELD = {
 #: Public classes that processes hand each other; a SampledField refuses, as it asks a function.
 PICKLED = {
     *("Cage", "CageEdit", "CageReport", "Camera", "CameraFile", "CameraKey", "Cancelled", "CaptureReport", "Error"),
-    *("FitOptions", "Frame", "Frames", "Place", "PlaceFile", "PoseFile", "RandomPoses", "RunReport", "SampledField"),
-    *("Scene", "SplatFitOptions", "SplatRates"),
+    *("FitOptions", "Frame", "Frames", "Place", "PlaceFile", "PoseFile", "PoseFit", "PoseTargets"),
+    *("RandomPoses", "RunReport", "SampledField", "Scene", "SplatFitOptions", "SplatRates"),
 }
 
 
