@@ -1,4 +1,4 @@
-"""What the operators of this folder share: numbers of objects, streams, and arrays that go to and fro."""
+"""What the operators of this folder share: numbers of objects, streams, and arrays that go both ways."""
 
 from __future__ import annotations
 
