@@ -92,7 +92,7 @@ def _canonical(points: Any, directions: Any, vertices: Any, options: tuple[int, 
 
 
 def _keep(points: Any, directions: Any, vertices: Any, options: tuple[int, float]) -> Any:
-    found = _canonical(points, directions, vertices, options)
+    found: Any = _canonical(points, directions, vertices, options)
     return found, (points, directions, vertices, found[2])
 
 
