@@ -34,13 +34,10 @@ def look(**options):
 WRONG = {
     "path as a cage": (lambda field: wc.mean_value_coordinates(POINTS, "cage.obj"), "a Cage, got str"),
     "vertices as a cage": (lambda field: wc.deform_points(POINTS, CAGE.vertices, CAGE), "a Cage, got ndarray"),
-    "a list as a pose": (
-        lambda field: wc.deform_points(POINTS, CAGE, [CAGE]),
-        "a Cage or an array of its vertices, got list",
-    ),
+    "a list as a pose": (lambda field: wc.deform_points(POINTS, CAGE, [CAGE]), "deformed cage .* vertices, got list"),
     "a list as a pose of a map": (
         lambda field: wc.PositionMap(CAGE).pose([CAGE]),
-        "a pose must be a Cage or an array of its vertices, got list",
+        "a pose must be .* vertices, got list",
     ),
     "few vertices as a pose": (
         lambda field: wc.deform_points(POINTS, CAGE, CAGE.vertices[1:]),

@@ -108,7 +108,7 @@ def test_bad_poses_are_refused_and_the_last_one_stays():
         (other, "vertices"),
         ([BOX, BOX], "one cage per edit"),
         (BOX.vertices[1:], "vertices"),
-        (None, "an array of its vertices, got NoneType"),
+        (None, "its vertices, got NoneType"),
     ):
         refused(functools.partial(deformer.pose, pose), match=message)
         np.testing.assert_array_equal(deformer.render(camera).rgb, before)

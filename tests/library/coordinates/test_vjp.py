@@ -151,7 +151,7 @@ def test_bad_slopes_are_refused(device):
     with pytest.raises(ValueError, match=r"must be \(2, 8\), got \(2, 7\)"):
         coordinates_vjp(points, cage, wp.zeros((2, 7), device=device), device=device)
     for slopes in (None, np.zeros((2, 8)), wp.zeros((2, 8), dtype=wp.float64, device=device)):
-        with pytest.raises(ValueError, match="slopes by weights must be Warp arrays of float32, got"):
+        with pytest.raises(ValueError, match="Warp arrays of float32, got"):
             coordinates_vjp(points, cage, slopes, device=device)
     with pytest.raises(ValueError, match="through weights of harmonic"):
         coordinates_vjp(points, cage, wp.zeros((2, 8), device=device), "harmonic", device=device)
