@@ -2,7 +2,7 @@
 
 # p = phi(x) and u = s / |s|, s the difference that edits/trace.canonical_step takes along the unit direction d: so a
 # slope g by u is (g - (g u) u) / |s| by s, and goes on to both ends of the difference. phi is a map on a lattice, whose
-# slope is that of central differences over a cell, as for adjoint/points.
+# slope is that of central differences over a cell, as for gradients/points.
 
 import warp as wp
 
@@ -14,28 +14,28 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func
-def difference_ends(edits: wp.array(dtype=LatticeEdit), x: wp.vec3, along: wp.vec3, dt: float, here: CanonicalPoint):
-    """(a, b, factor) of the difference factor (phi(x + b d) - phi(x + a d)) that edits/trace.canonical_step takes; a
-    factor of 0: none."""
+def difference_end(edits: wp.array(dtype=LatticeEdit), x: wp.vec3, along: wp.vec3, dt: float, here: CanonicalPoint):
+    """(o, y): the difference that edits/trace.canonical_step takes is dt / o (y - phi(x)), y = phi(x + o d); an o of 0:
+    none."""
     ahead = canonical_point(edits, x + dt * along)
+    short = SHORT_DIFFERENCE * dt
     if same_map(here, ahead):
         length = wp.length(ahead.position - here.position)
-        if length <= LONG_STEP * dt:
-            return wp.vec3(0.0, dt, 1.0)
-        near = canonical_point(edits, x + SHORT_DIFFERENCE * dt * along)
-        if same_map(here, near):
-            if length * SHORT_DIFFERENCE > 2.0 * wp.length(near.position - here.position):
-                return wp.vec3(0.0, SHORT_DIFFERENCE * dt, 1.0 / SHORT_DIFFERENCE)
-            return wp.vec3(0.0, dt, 1.0)
+        if length > LONG_STEP * dt:
+            near = canonical_point(edits, x + short * along)
+            if same_map(here, near) and length * SHORT_DIFFERENCE > 2.0 * wp.length(near.position - here.position):
+                return short, near.position
+        return dt, ahead.position
     behind = canonical_point(edits, x - dt * along)
     if same_map(here, behind):
-        return wp.vec3(-dt, 0.0, 1.0)
-    for side in range(2):
-        short = wp.where(side == 0, SHORT_DIFFERENCE, -SHORT_DIFFERENCE)
-        near = canonical_point(edits, x + short * dt * along)
-        if same_map(here, near):
-            return wp.vec3(0.0, short * dt, 1.0 / short)
-    return wp.vec3(0.0, 0.0, 0.0)
+        return -dt, behind.position
+    near = canonical_point(edits, x + short * along)
+    if same_map(here, near):
+        return short, near.position
+    near = canonical_point(edits, x - short * along)
+    if same_map(here, near):
+        return -short, near.position
+    return float(0.0), here.position
 
 
 @wp.func
@@ -70,7 +70,7 @@ def propagate_canonical_points(
 ):
     """From slopes (n,) by what edits/trace.map_points returned for one edit, those by its points and directions, and,
     added up where there are any, by positions of nodes. region: as it returned it."""
-    # points share nodes: atomics on CUDA, one thread on a CPU
+    # points share nodes: atomics on CUDA, sums of their own for each thread of a CPU
     n = first + wp.tid()
     by_point = by_canonical_points[n]
     by_direction = by_canonical_directions[n]
@@ -80,18 +80,17 @@ def propagate_canonical_points(
         length = wp.length(directions[n])
         along = directions[n] / length
         here = canonical_point(edits, x)
-        ends = difference_ends(edits, x, along, dt, here)
-        tail = x + ends[0] * along
-        head = x + ends[1] * along
-        step = ends[2] * (canonical_point(edits, head).position - canonical_point(edits, tail).position)
-        by_point = propagated(edit.deformed, x, by_point, by_nodes)
-        if wp.length(step) > 1.0e-6 * dt:
-            seen = wp.normalize(step)
-            by_step = ends[2] / wp.length(step) * (by_direction - wp.dot(seen, by_direction) * seen)
-            by_head = propagated(edit.deformed, head, by_step, by_nodes)
-            by_tail = propagated(edit.deformed, tail, -by_step, by_nodes)
-            by_point += by_head + by_tail
-            by_direction = ends[1] * by_head + ends[0] * by_tail
+        offset, there = difference_end(edits, x, along, dt, here)
+        by_other = wp.vec3()
+        if offset != 0.0:
+            step = dt / offset * (there - here.position)
+            if wp.length(step) > 1.0e-6 * dt:
+                seen = wp.normalize(step)
+                by_there = dt / offset / wp.length(step) * (by_direction - wp.dot(seen, by_direction) * seen)
+                by_point -= by_there
+                by_other = propagated(edit.deformed, x + offset * along, by_there, by_nodes)
+                by_direction = offset * by_other
+        by_point = by_other + propagated(edit.deformed, x, by_point, by_nodes)
         by_direction = (by_direction - wp.dot(along, by_direction) * along) / length
     by_points[n] = by_point
     by_directions[n] = by_direction

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 import weakref
 from collections.abc import Iterator
 from typing import Any
@@ -12,11 +13,12 @@ import numpy as np
 import warp as wp
 
 from ..cage.cage import Cage
-from ..core.arrays import as_points, empty_array
+from ..core.arrays import array_view, as_points, empty_array
 from ..core.checks import checked_step
 from ..core.devices import launch
 from ..deform.deformer import Deformer
 from ..errors import InputError
+from ..fitting.batches import ShardedWork, launch_shards, shard_count, sum_shards
 from ..kernels.edits.canonical_adjoint import propagate_canonical_points
 from ..render.scene import PosedScene
 from ..view.camera import Camera
@@ -90,20 +92,17 @@ def canonical_points_vjp(
         x, d = as_points(points, device), as_points(directions, device, name="directions")
         given = [as_points(each, device, name="slopes") for each in slopes]
         found = [empty_array(len(x), wp.vec3, device) for _ in range(2)]
-        shape = position_map.data.positions.shape if by_vertices else (0, 0, 0)
-        nodes = wp.zeros(shape, dtype=wp.vec3, device=device)
         inputs = [scene.array, wp.vec3(*field.center), x, d, checked_step(step, field.step), region, *given]
-        launch(
-            propagate_canonical_points,
-            len(x),
-            inputs,
-            [*found, nodes],
-            device=device,
-            threads=1 if by_vertices else None,
-            work=4 * scene.sample_work,
-        )
-        vertices = position_map.vertex_gradient(nodes)[0] if by_vertices else None
-        return CanonicalSlopes(found[0], found[1], vertices)
+        if not by_vertices:
+            outputs = [*found, wp.zeros((0, 0, 0), dtype=wp.vec3, device=device)]
+            launch(propagate_canonical_points, len(x), inputs, outputs, device=device, work=4 * scene.sample_work)
+            return CanonicalSlopes(*found)
+        shape, shards = position_map.data.positions.shape, shard_count(device)
+        sums = [wp.zeros(3 * math.prod(shape), dtype=wp.float32, device=device) for _ in range(shards)]
+        shared = [[*found, array_view(each, wp.vec3, shape)] for each in sums]
+        launch_shards([ShardedWork(propagate_canonical_points, len(x), inputs, shared)], shards, device)
+        by_nodes = array_view(sum_shards(sums), wp.vec3, shape)
+        return CanonicalSlopes(*found, position_map.vertex_gradient(by_nodes)[0])
 
 
 def turned_camera(camera: Camera, numbers: np.ndarray) -> Camera:
