@@ -117,6 +117,14 @@ CALLS = {
     "Deformer.inverse_error": lambda w, x: w["posed"]["mean_value"].pose(x).inverse_error(),
     "FieldOptimizer.step": lambda w, x: w["fit"].step(),
     "Frames": lambda w, x: w["posed"]["green"].pose(x).render(w["cameras"]).arrays_like(w["points"]),
+    "fit_pose, fit_poses": lambda w, x: warpcage.fit_poses(
+        w["posed"]["mean_value"],
+        [np.full((3, 12, 12, 3), 0.5)],
+        cameras=w["cameras"],
+        parameters="rigid",
+        restarts=0,
+        start=x,
+    ),
     "Frame.save": lambda w, x: saved(w, w["posed"]["green"].pose(x).render(w["camera"]), "frame.png"),
     "NodeSelection": lambda w, x: warpcage.select_nodes(w["field"], cage=BOX.with_vertices(x)).mask.sum(),
     "PositionMap.pose": by_kind(
@@ -196,7 +204,19 @@ OTHERS = {
         "Error",
         "FitOptions",
     ),
-    *("Place", "PlaceFile", "PoseFile", "RunReport", "Scene", "SplatFitOptions", "SplatRates", "camera_at", "capture"),
+    *(
+        "Place",
+        "PlaceFile",
+        "PoseFile",
+        "PoseFit",
+        "PoseTargets",
+        "RunReport",
+        "Scene",
+        "SplatFitOptions",
+        "SplatRates",
+        "camera_at",
+        "capture",
+    ),
     *("edit", "run_jobs", "turntable"),
 }
 

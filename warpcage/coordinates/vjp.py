@@ -44,10 +44,26 @@ def deform_points_vjp(
     device: wp.DeviceLike = None,
     outside: str | None = None,
 ) -> PointSlopes:
-    """Slopes of a number by all that `deform_points` takes, `deformed` too, from those (n, 3) by what it returns."""
-    # Exact, by formula, for mean value, Green and maximum likelihood; on a cage, where slopes jump, those 1e-4 of its
-    # size inside. Harmonic: of the map on its lattice as it lies (PositionMap.vertex_gradient). NaN counts for nothing.
-    # Raises as deform_points, for slopes of another shape, biharmonic, and mean value coordinates of quads.
+    """The gradient of a loss by all that `deform_points` takes, from that by the points that it returns.
+
+    Exact for mean value, Green and maximum likelihood coordinates; on a cage, where their derivatives jump, those 1e-4
+    of its size inside. With harmonic coordinates it is that of the map on its lattice (`PositionMap.vertex_gradient`).
+
+    Args:
+        points: (n, 3), world units, as for `deform_points`.
+        rest: The cage around them.
+        deformed: The posed cage, or its vertices (v, 3), world units.
+        slopes: (n, 3) gradient by the moved points, per world unit; points without coordinates count for nothing.
+        coordinates: "mean_value" (of triangles), "green", "maximum_likelihood" or "harmonic".
+        device: As for `deform_points`.
+        outside: As for `deform_points`.
+
+    Returns:
+        Gradients by the points, the cage at rest and the posed cage.
+
+    Raises:
+        ValueError: As `deform_points`, for slopes of another shape, and for kinds and faces without gradients.
+    """
     kind = _with_adjoint(coordinate_kind(coordinates), rest)
     local, lost, surface = checked_points(kind, points, rest, device, outside)
     target = posed_mesh(rest, deformed, "the deformed cage must be")
@@ -92,10 +108,23 @@ def coordinates_vjp(
     device: wp.DeviceLike = None,
     outside: str | None = None,
 ) -> PointSlopes:
-    """Slopes of a number by points and their cage, from those by weights (n, v), or by Green weights, (n, v)
-    and (n, f), float32 on the device."""
-    # Rows that are NaN count for nothing. Raises as the functions of weights, for slopes of another shape, other kinds
-    # of coordinates, and faces of more than three corners.
+    """The gradient of a loss by points and their cage, from that by the weights of the points.
+
+    Args:
+        points: (n, 3), world units, as for the functions of weights.
+        cage: The cage of triangles around them, of v vertices and f faces.
+        slopes: (n, v) gradient by the weights, a Warp array of float32 on the device; two, (n, v) and (n, f), for Green
+            coordinates. Points without coordinates count for nothing.
+        coordinates: "mean_value", "green" or "maximum_likelihood".
+        device: As for the functions of weights.
+        outside: As for the functions of weights.
+
+    Returns:
+        Gradients by the points and the cage.
+
+    Raises:
+        ValueError: As the functions of weights, for slopes of another shape, and for kinds and faces without gradients.
+    """
     kind = _with_adjoint(coordinate_kind(coordinates), cage)
     if not kind.is_closed_form or cage.operator is not None or cage.refined(kind.face_cells).operator is not None:
         raise InputError(

@@ -10,6 +10,7 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import array_view
+from ..core.checks import require_type
 from ..core.devices import launch
 from ..deform.deformer import Deformer
 from ..errors import InputError
@@ -40,10 +41,30 @@ def frame_gradient(
     background: Any = None,
     step: float | None = None,
 ) -> FrameGradient:
-    """The gradient of a loss of a frame of the last pose, by its derivatives (h, w, 3) or (h, w) by the frame's parts,
-    arrays of any library, None for zero; voxels or splats. background, step: of the frame, as for `Deformer.render`."""
-    # Where the frame is not smooth, this is the gradient of what is smooth beside it: see Gradients in docs/arrays.md.
-    # Derivatives by depths count where a pixel has one.
+    """The gradient of a loss of a frame of the last pose, from that by the frame's colours, opacities and depths.
+
+    Where the frame is not smooth, this is the gradient of what is smooth beside it: see Gradients in docs/arrays.md.
+
+    Args:
+        deformer: A posed Deformer of voxels or splats, of one edit that moves or copies.
+        camera: The camera of the frame, one ray a pixel.
+        image_gradient: (h, w, 3) by the colours, an array of any library. None is zero.
+        alpha_gradient: (h, w) by the opacities. None is zero.
+        depth_gradient: (h, w) by the depths, per world unit, where pixels have one. None is zero.
+        by_vertices: Whether it goes on to the cages' vertices.
+        by_camera: Whether it is also taken by the camera's turns, shifts and focal length.
+        by_field: Whether it is also taken by what the field stores.
+        background: Of the frame, as for `Deformer.render`.
+        step: March step of the frame, world units, for voxels. None is the field's.
+
+    Returns:
+        The gradients asked for, and for voxels always those by the nodes of the map.
+
+    Raises:
+        ValueError: For other fields and edits, surroundings, more rays a pixel, or gradients of another shape.
+    """
+    require_type(deformer, Deformer, "frame_gradient needs")
+    require_type(camera, Camera, "frame_gradient needs")
     field, wanted = deformer.field, {"by_vertices": by_vertices, "by_camera": by_camera, "by_field": by_field}
     if not isinstance(field, (VoxelField, SplatField)):
         raise InputError(f"a frame's gradient is of a VoxelField or SplatField, not of a {type(field).__name__}")

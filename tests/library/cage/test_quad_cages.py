@@ -159,8 +159,17 @@ def test_points_of_a_focus_get_more_vertices_at_the_same_count():
     assert counts[1] > 1.6 * counts[0] and lengths[0] > 1.4 * lengths[1]
     counts, lengths = halves(even)
     assert 0.8 < counts[0] / counts[1] < 1.25
-    for bad in ({"focus": np.zeros((0, 3))}, {"focus": points, "finer": 0.5}, {"focus": "arm"}):
-        refused(lambda bad=bad: Cage.from_mesh(rod, 80, **bad))
+    for bad, line in (
+        ({"focus": np.zeros((0, 3))}, "focus has no points"),
+        ({"focus": points, "finer": 0.5}, "finer must be a number from 1 to 8"),
+        ({"finer": 30}, "finer must be a number from 1 to 8"),
+        ({"focus": "arm"}, "it takes points, a selection, a Pose"),
+        ({"focus": fine}, "it takes points, a selection, a Pose"),
+        ({"focus": 1e4 * points[:9] + 1e6}, "nowhere near the object"),
+        ({"focus": points, "method": "voxel"}, "a focus needs method 'shell'"),
+        ({"margin": 4.5}, "at most the mesh's size, 4, got 4.5"),
+    ):
+        refused(lambda bad=bad: Cage.from_mesh(rod, 80, **bad), line)
 
 
 def test_selected_nodes_are_a_focus():
@@ -172,6 +181,7 @@ def test_selected_nodes_are_a_focus():
     assert counts[1] > 1.3 * counts[0] and cage.check(field=field).field_enclosed == 1.0
     nothing = NodeSelection(field, np.zeros((24, 24, 24), dtype=bool))
     refused(lambda: Cage.from_field(field, 60, focus=nothing), match="focus has no points")
+    refused(lambda: Cage.from_field(field, 60, margin=30), match="the object's size in voxels, 1")
 
 
 def test_a_cage_is_finer_where_a_pose_file_bends_another_one():

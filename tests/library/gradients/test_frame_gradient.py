@@ -294,6 +294,7 @@ def test_what_has_no_gradient_yet_is_refused(device):
     mesh = Deformer(SurfaceMesh(BOX.vertices, BOX.faces, device=device), BOX.scale(1.2))
     refused(lambda: frame_gradient(mesh, camera), "of a VoxelField or SplatField, not of a Surf")
     deformer = Deformer(field, BOX, resolution=16)
+    refused(lambda: frame_gradient(BOX, camera), "needs a Deformer, got Cage")
     refused(lambda: frame_gradient(deformer, camera, np.zeros((9, 8, 3))), "image_gradient must be (8, 8, 3)")
     refused(lambda: frame_gradient(deformer, camera, alpha_gradient=np.zeros((8, 9))), "alpha_gradient must be (64,)")
     fine = Deformer(shiny_field(device), BOX, resolution=16)

@@ -125,6 +125,10 @@ def checked_count(vertex_count, name: str = "vertex_count") -> int:
 _MAX_POINTS = 1_000_000
 
 
+#: Voxels that a margin may always have, however small the object; relative length of edges from which a focus is far.
+_SMALL_MARGIN, _UNCHANGED = 16.0, 0.999
+
+
 @dataclasses.dataclass(frozen=True)
 class _CageOptions:
     """How a cage is made; see `Cage.from_mesh`. sizing: relative lengths of edges in world units, or None."""
@@ -169,7 +173,7 @@ def cage_around_mesh(
     size = (upper - lower).max()
     if size == 0.0:
         raise InputError("the mesh has no extent: all its vertices are in one place")
-    margin = checked_number(0.01 * size if margin is None else margin, "margin", 0.0)
+    margin = _checked_margin(margin, 0.01 * size, size, "the mesh's size")
     sizing = sizing or focused(focus, finer, size)
     spacing = voxel_spacing(upper - lower, vertex_count)
     points = np.concatenate([vertices, surface_points(vertices, triangles, 0.5 * spacing)])
@@ -203,13 +207,14 @@ def cage_around_field(
     vertex_count = checked_count(vertex_count)
     require_field(field)
     voxel_size = np.broadcast_to(np.asarray(field.voxel_size, dtype=np.float64), 3)
-    # 1: where trilinear values end
-    margin = checked_number(1.0 if margin is None else margin, "margin", 0.0) * voxel_size.max()
     points = visible_nodes(field, threshold)
     if not len(points):
         raise InputError("the field shows nothing to put a cage around: lower the threshold")
     lower, upper = bounds_of(points)
     extent = np.maximum(upper - lower, voxel_size)
+    most = max(float((extent / voxel_size).max()), _SMALL_MARGIN)
+    # 1: where trilinear values end
+    margin = _checked_margin(margin, 1.0, most, "the object's size in voxels") * voxel_size.max()
     sizing = sizing or focused(focus, finer, float(extent.max()))
     # a grid no finer than the field's, or its empty lines between nodes would count as gaps
     spacing = max(voxel_spacing(extent, vertex_count), voxel_size.max())
@@ -225,6 +230,14 @@ def cage_around_field(
         progress,
         floor,
     )
+
+
+def _checked_margin(margin: float | None, default: float, most: float, what: str) -> float:
+    """A margin, which is at most as large as the object."""
+    value = checked_number(default if margin is None else margin, "margin", 0.0)
+    if value > most:
+        raise InputError(f"margin must be at most {what}, {most:.6g}, got {value:g}")
+    return value
 
 
 def _cage_around_points(
@@ -244,6 +257,10 @@ def _cage_around_points(
     if symmetry == "auto":
         symmetry = nearest_mirror(points, spacing)
         _log.info("symmetric about %s", symmetry or "no plane across an axis")
+    if sizing and method == "voxel":
+        raise InputError("a focus needs method 'shell' (or 'auto', which takes it then): voxels are even")
+    if sizing and (sizing(points) > _UNCHANGED).all():
+        raise InputError("the focus is nowhere near the object: give it in the object's world units")
     if detail == "parts" and method == "voxel":
         raise InputError("detail 'parts' needs method 'shell' (or 'auto', which takes it then)")
     if method == "auto" and (detail == "parts" or sizing):

@@ -30,11 +30,11 @@ MAX_FINER = 8.0
 def focused(focus: Any, finer: float, size: float) -> Sizing:
     """Relative lengths of edges, 1 / `finer` in the focus and 1 far from it; see `Cage.from_mesh`. size: of the object,
     world units."""
+    finer = checked_number(finer, "finer", 1.0, MAX_FINER)
     if focus is None:
         return None
-    finer = checked_number(finer, "finer", 1.0, MAX_FINER)
     share = _bent(_poses(focus)) if _has_poses(focus) else _near(_points(focus), size)
-    return lambda x: finer ** -share(x)
+    return None if finer == 1.0 else lambda x: finer ** -share(x)
 
 
 def _has_poses(focus: Any) -> bool:
@@ -60,7 +60,10 @@ def _points(focus: Any) -> np.ndarray:
     if isinstance(focus, NodeSelection):
         points = visible_nodes(focus)
     else:
-        points = as_host_points(focus, name="focus")
+        try:
+            points = as_host_points(focus, name="focus")
+        except InputError as error:
+            raise InputError(f"{error}; it takes points, a selection, a PoseFile, or [rest, pose, ...]") from None
     if not len(points):
         raise InputError("focus has no points: select what should get more vertices")
     return points

@@ -198,7 +198,7 @@ CAGES, MESHES, SPLATS = (
 SHARED = f"""
 field  field file: voxels (.npz) or splats ({SPLATS}), or an output folder of 3D Gaussian
     Splatting
---cage-object NAME  the object that is the cage in a file of several (OBJ, glTF); '*' takes all as one cage
+--cage-object NAME  the object that is the cage in a file of several (OBJ, glTF, USD); '*' takes all as one cage
 --device NAME  Warp device, "cpu" or "cuda:0" (default: CUDA where there is one)
 --floaters SHARE  leave out connected parts with fewer voxels than this share of the largest, e.g. 0.01
 --in-box X0 Y0 Z0 X1 Y1 Z1  what is in the box between two opposite corners, world units
