@@ -119,8 +119,8 @@ CALLS = {
     "Frames": lambda w, x: w["posed"]["green"].pose(x).render(w["cameras"]).arrays_like(w["points"]),
     "fit_pose, fit_poses": lambda w, x: warpcage.fit_poses(
         w["posed"]["mean_value"],
-        [np.full((3, 12, 12, 3), 0.5)],
-        cameras=w["cameras"],
+        [np.full((1, 12, 12, 3), 0.5)],
+        cameras=w["camera"],
         parameters="rigid",
         restarts=0,
         start=x,

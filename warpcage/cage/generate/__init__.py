@@ -125,8 +125,8 @@ def checked_count(vertex_count, name: str = "vertex_count") -> int:
 _MAX_POINTS = 1_000_000
 
 
-#: Voxels that a margin may always have, however small the object; relative length of edges from which a focus is far.
-_SMALL_MARGIN, _UNCHANGED = 16.0, 0.999
+#: Voxels that a margin may always have, however small the object.
+_SMALL_MARGIN = 16.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,9 +174,9 @@ def cage_around_mesh(
     if size == 0.0:
         raise InputError("the mesh has no extent: all its vertices are in one place")
     margin = _checked_margin(margin, 0.01 * size, size, "the mesh's size")
-    sizing = sizing or focused(focus, finer, size)
     spacing = voxel_spacing(upper - lower, vertex_count)
     points = np.concatenate([vertices, surface_points(vertices, triangles, 0.5 * spacing)])
+    sizing = sizing or focused(focus, finer, size, points)
     slack = 0.29 * spacing  # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
     if len(points) > _MAX_POINTS:  # long, narrow faces: a point stands for those less than a diagonal away
         cell = np.floor((points - bounds_of(points)[0]) / (0.1 * spacing)).astype(np.int64)
@@ -215,7 +215,7 @@ def cage_around_field(
     most = max(float((extent / voxel_size).max()), _SMALL_MARGIN)
     # 1: where trilinear values end
     margin = _checked_margin(margin, 1.0, most, "the object's size in voxels") * voxel_size.max()
-    sizing = sizing or focused(focus, finer, float(extent.max()))
+    sizing = sizing or focused(focus, finer, float(extent.max()), points)
     # a grid no finer than the field's, or its empty lines between nodes would count as gaps
     spacing = max(voxel_spacing(extent, vertex_count), voxel_size.max())
     corner = 0.5 * float(np.linalg.norm(voxel_size))
@@ -259,8 +259,6 @@ def _cage_around_points(
         _log.info("symmetric about %s", symmetry or "no plane across an axis")
     if sizing and method == "voxel":
         raise InputError("a focus needs method 'shell' (or 'auto', which takes it then): voxels are even")
-    if sizing and (sizing(points) > _UNCHANGED).all():
-        raise InputError("the focus is nowhere near the object: give it in the object's world units")
     if detail == "parts" and method == "voxel":
         raise InputError("detail 'parts' needs method 'shell' (or 'auto', which takes it then)")
     if method == "auto" and (detail == "parts" or sizing):

@@ -27,13 +27,15 @@ _NEIGHBORS = 4
 MAX_FINER = 8.0
 
 
-def focused(focus: Any, finer: float, size: float) -> Sizing:
+def focused(focus: Any, finer: float, size: float, points: np.ndarray) -> Sizing:
     """Relative lengths of edges, 1 / `finer` in the focus and 1 far from it; see `Cage.from_mesh`. size: of the object,
-    world units."""
+    world units; points (n, 3): of it."""
     finer = checked_number(finer, "finer", 1.0, MAX_FINER)
     if focus is None:
         return None
     share = _bent(_poses(focus)) if _has_poses(focus) else _near(_points(focus), size)
+    if not share(points).any():
+        raise InputError("the focus is nowhere near the object: give it in the object's world units")
     return None if finer == 1.0 else lambda x: finer ** -share(x)
 
 
