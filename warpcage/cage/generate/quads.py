@@ -14,7 +14,7 @@ from ...mesh.surface import CELLS, PolygonFaces
 from .distance import ObjectShell, ObjectVoxels
 from .fit import cleared, drawn_close, row_sums, shortfall
 from .mirror import Mirror
-from .shell import crossings, flaw, tangle
+from .shell import MIN_WAY, crossings, flaw, tangle
 
 _log = logging.getLogger(__name__)
 
@@ -166,11 +166,14 @@ def _held(
         vertices = drawn_close(shell, vertices, faces, need, followed, rounds) if rounds else vertices
         vertices, clear = cleared(shell, vertices, faces, need, followed)
         found = cage.with_vertices(followed.vertices)
-        wrong = {*_folded(found).tolist(), *crossing_faces(found).reshape(-1).tolist()}
-        if not clear:
-            wrong |= set(fine.owner[shortfall(shell, vertices, faces, need) > 0.0].tolist())
+        wrong = _not_holding(shell, found, fine, 0.0 if clear else need)
         if wrong:
-            continue
+            found, still = _withdrawn(shell, cage, found, wrong, fine, need, mirror)
+            vertices = fine.operator @ found.vertices
+            if still:  # fewest quads are cut, but some: triangles alone would be wrong again
+                cut = [{face for face in each if len(cage.polygons[face]) > 3} for each in (wrong, still)]
+                wrong = min(filter(None, cut), key=len, default=still)
+                continue
         # coarser triangles, which some coordinates take, lie on both sides of the patches
         coarse = found.refined(1)
         inside = (crossings(shell.voxels.skin, coarse.vertices, coarse.faces) >= 1).all()
@@ -178,6 +181,33 @@ def _held(
             return found, set()
         wrong = set(range(cage.face_count))
     return None, wrong
+
+
+def _not_holding(shell: ObjectShell, cage: ClosedMesh, fine: Any, need: float) -> set[int]:
+    """Numbers of the faces of a cage that fold, cross others, or whose patches, `fine`, are nearer than `need` to the
+    object (0: they are known to be clear)."""
+    wrong = {*_folded(cage).tolist(), *crossing_faces(cage).reshape(-1).tolist()}
+    if need:
+        short = shortfall(shell, fine.operator @ cage.vertices, fine.faces.astype(np.int64), need)
+        wrong |= set(fine.owner[short > 0.0].tolist())
+    return wrong
+
+
+def _withdrawn(
+    shell: ObjectShell, before: ClosedMesh, after: ClosedMesh, wrong: set[int], fine: Any, need: float, mirror: Any
+) -> tuple[ClosedMesh, set[int]]:
+    """A cage on its way from before, where triangles hold, to after, a part of the way about faces that would not; and
+    those that do not hold all the same. fine: its patches."""
+    share, moves, polygons = np.ones(len(before.vertices)), after.vertices - before.vertices, before.polygons
+    while wrong:
+        rows = np.unique(np.concatenate([polygons[face] for face in wrong]))
+        rows = rows if mirror is None else np.union1d(rows, mirror.partner[rows])
+        if not share[rows].any():
+            break
+        share[rows] = np.where(share[rows] > MIN_WAY, 0.5 * share[rows], 0.0)
+        after = before.with_vertices(before.vertices + share[:, None] * moves)
+        wrong = _not_holding(shell, after, fine, need)
+    return after, wrong
 
 
 def _folded(cage: ClosedMesh) -> np.ndarray:

@@ -64,7 +64,7 @@ _FILLED = 0.05
 _FOLDED = -0.999
 
 #: Least share of a way, beyond none, that vertices go whose faces would pass through others.
-_MIN_WAY = 0.2
+MIN_WAY = 0.2
 
 #: Mean sides of faces, beyond what `need` explains, that vertices may be off the object.
 _CORNER, _FARTHEST = 1.75, 1.5
@@ -244,7 +244,7 @@ def untangled(before, after, faces, mirror: Mirror | None = None) -> np.ndarray:
         rows = rows if mirror is None else np.union1d(rows, mirror.partner[rows])
         if not share[rows].any():
             return vertices
-        share[rows] = np.where(share[rows] > _MIN_WAY, 0.5 * share[rows], 0.0)
+        share[rows] = np.where(share[rows] > MIN_WAY, 0.5 * share[rows], 0.0)
 
 
 def strays(voxels: ObjectVoxels, cage: ClosedMesh, sizing: Sizing = None) -> bool:
