@@ -33,10 +33,19 @@ pytest_plugins = ["tiers", "needs", "costs"]
 
 #: Most workers of a run on a CPU, and beside a GPU, where each of them has a context of its own; and how many there are
 #: more than cores, as some tests wait: for a browser, or for another process.
-MAX_WORKERS, MAX_WORKERS_CUDA, MORE_THAN_CORES = 8, 4, 1
+MAX_WORKERS, MAX_WORKERS_CUDA, MORE_THAN_CORES = 8, 4, 2
 
 #: Files whose tests take longest come first, so that no worker is left with one of them at the end.
-LONGEST = ("test_batch_kills.py", "test_examples.py", "test_capture.py", "test_capture_input.py", "test_batch_run.py")
+LONGEST = (
+    "test_batch_kills.py",
+    "test_editor_page.py",
+    "test_editor_looks.py",
+    "test_batch_run.py",
+    "test_editor_parts.py",
+    "test_objects_page.py",
+    "test_capture.py",
+    "test_examples.py",
+)
 
 
 def pytest_xdist_auto_num_workers(config):

@@ -104,7 +104,7 @@ def test_fields_get_cages_of_quads_with_other_numbers_of_corners_kept_in_files(t
 # -- Symmetric cages
 
 
-@pytest.mark.parametrize("method", ["voxel", "shell"])
+@pytest.mark.parametrize("method", [pytest.param("voxel", marks=pytest.mark.nightly), "shell"])
 def test_symmetric_quads_are_the_same_on_both_sides(method):
     mesh = tee()
     cage = Cage.from_mesh(mesh, 60, method=method, symmetry="auto", faces="quads")

@@ -41,7 +41,9 @@ def test_weights_are_the_integrals_over_bilinear_patches(cells, bend, device):
     assert np.abs(weights @ vertices - points).max() < 1e-6 and np.abs(weights.sum(axis=1) - 1).max() < 1e-6
 
 
-@pytest.mark.parametrize("height", [1e-1, 1e-2, 1e-3, 1e-5])
+@pytest.mark.parametrize(
+    "height", [pytest.param(1e-1, marks=pytest.mark.nightly), 1e-2, pytest.param(1e-3, marks=pytest.mark.nightly), 1e-5]
+)
 @some_cages
 def test_weights_hold_up_to_the_patches(cells, bend, height, device):
     vertices, quads = cage(cells, bend)

@@ -153,6 +153,7 @@ def test_exposures_are_undone(bricks, device):
     np.testing.assert_allclose(np.log(field.refined_cameras.gains).mean(axis=0), 0, atol=1e-9)
 
 
+@pytest.mark.nightly
 def test_an_outer_field_goes_with_refined_cameras(device):
     """What is before the box goes into the cameras' steps, and into views that are tuned."""
     scene = blob_scene(6, 16, with_alpha=False)

@@ -93,7 +93,9 @@ def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, 
 
 
 @pytest.mark.parametrize("touch", [False, True], ids=["mouse", "touch"])
-@pytest.mark.parametrize(("width", "height"), [(800, 600), (1440, 900), (820, 1180)])
+@pytest.mark.parametrize(
+    ("width", "height"), [(800, 600), pytest.param(1440, 900, marks=pytest.mark.nightly), (820, 1180)]
+)
 def test_tools_that_draw_have_room(window: Window, browser: Any, width: int, height: int, touch: bool) -> None:
     metrics = {"width": width, "height": height, "deviceScaleFactor": 0.5, "mobile": touch}
     browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": touch})

@@ -377,6 +377,7 @@ def test_a_page_goes_on_with_the_next_editor_or_says_that_it_cannot(browser: Any
     browser.get_log("browser")  # that nothing answered is logged there
 
 
+@pytest.mark.nightly
 def test_each_setting_of_the_schema_has_a_field_that_sets_it(window: Window, editor: Any) -> None:
     described = window.section("session")["settings"]
     assert described.keys() == editor.session.document.settings.to_json().keys()

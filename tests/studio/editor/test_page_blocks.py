@@ -27,6 +27,7 @@ SMALLER = {
         "falloff=0.3": 'falloff=0.3, held="still"',  # a short fit has no solid matter that a wall could cut
     },
     "batch.md": {"10_000": "3"},
+    "fit_pose.md": {'load_scene("bent")': 'load_scene("bent"), max_pixels=12, restarts=0, parameters="rigid"'},
     "films.md": {"size=160": "size=40", "width=640, height=480": "width=64, height=48"},
     "select.md": {'pixel=(486, 518), camera=scene.cameras[12], plane="wall"': "point=(-0.15, 0.1, 0.2)"},
     "splats.md": {"vertex_count=100": "40", "width=640, height=480": "width=64, height=48", "41, 2": "41, 20"},
@@ -50,10 +51,10 @@ def folder(tmp_path_factory):
     """The files that the blocks name, small."""
     root = tmp_path_factory.mktemp("blocks")
     write_brick_scene(root / "data" / "lego", train_views=8, size=40, device="cpu")
-    for name in ("my_capture", "fox"):
+    for name in ("my_capture", "fox", "bent"):
         shutil.copytree(root / "data" / "lego", root / name)
     table = TableScene(count=32, fragments=False).field
-    for name in ("room", "lego", "fox"):
+    for name in ("room", "lego", "fox", "toy"):
         table.save(root / f"{name}.npz")
     cage = warpcage.Cage.box((-0.9, -0.9, -0.9), (0.9, 0.9, 0.9))
     cage.save(root / "cage.obj")

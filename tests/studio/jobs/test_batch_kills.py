@@ -134,6 +134,7 @@ def children():
 
 @pytest.mark.skipif(not pathlib.Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
 @pytest.mark.parametrize("maker", [None, Making])
+@pytest.mark.nightly
 def test_workers_start_beside_the_plan_and_are_those_that_work(job, whole, tmp_path, engines, maker):
     before, planned = children(), set()
 
@@ -150,6 +151,7 @@ def test_workers_start_beside_the_plan_and_are_those_that_work(job, whole, tmp_p
 
 
 @pytest.mark.skipif(not pathlib.Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
+@pytest.mark.nightly
 def test_a_process_that_a_program_starts_works_in_its_run(job, whole, tmp_path, engines):
     before, out = children(), tmp_path / "out"
     with early_processes(2, 1, "cpu"):

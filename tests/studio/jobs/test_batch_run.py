@@ -154,7 +154,14 @@ def test_workers_of_a_driver_that_was_killed_are_waited_for(tmp_path, monkeypatc
         pass
 
 
-@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "sign",
+    [
+        pytest.param(signal.SIGINT, marks=pytest.mark.nightly),
+        signal.SIGKILL,
+        pytest.param(signal.SIGTERM, marks=pytest.mark.nightly),
+    ],
+)
 def test_an_ended_run_goes_on_where_it_was(files, tmp_path, sign):
     """By one worker, which is the driver."""
     path, out = write_frames(tmp_path / "job", 250), tmp_path / "out"

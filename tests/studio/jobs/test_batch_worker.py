@@ -457,6 +457,7 @@ def test_the_fingerprint_of_a_scene_is_of_all_of_its_files(files, tmp_path):
     assert Fingerprints(tmp_path).of(item) != base
 
 
+@pytest.mark.nightly
 def test_the_example_of_the_docs_is_made(files, tmp_path):
     text = (pathlib.Path(__file__).parents[3] / "docs" / "batch.md").read_text("utf-8")
     (files / "example.jsonl").write_text(text.partition("```json\n")[2].partition("```")[0], "utf-8")

@@ -112,6 +112,7 @@ def test_a_job_file_of_no_film_is_reported_in_one_line(tmp_path):
     assert done.stderr.startswith("jobs.jsonl is of no film, as `warpcage animate --jobs` writes it")
 
 
+@pytest.mark.nightly
 def test_the_template_of_a_render_farm_makes_the_film_of_animate(farm, tmp_path):
     openjd = shutil.which("openjd", path=f"{pathlib.Path(sys.executable).parent}:{os.environ['PATH']}")
     if openjd is None:

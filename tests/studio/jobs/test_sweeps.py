@@ -233,6 +233,7 @@ def test_of_many_random_poses_some_are_drawn_for_the_cameras(files, tmp_path, mo
     assert numbers == [(1, 0), (2, 0)] and len(items_of(tmp_path / "sweep.jsonl")) == 2000
 
 
+@pytest.mark.nightly
 def test_processes_draw_the_same_poses_in_their_order(monkeypatch):
     monkeypatch.setattr("warpcage.studio.jobs.sweeps.WORTH_PROCESSES", 10)
     poses = RandomPoses(Cage.box([-1] * 3, [1] * 3), seed=6)

@@ -410,6 +410,7 @@ def test_each_option_of_an_edit_has_a_picture_of_its_own(pictures_of_edits):
 
 
 @pytest.mark.parametrize("name", EDITS)
+@pytest.mark.nightly
 def test_an_option_of_an_edit_shows_alike_whatever_makes_the_picture(files, pictures_of_edits, tmp_path, name):
     edit, usual = EDITS[name], ShotSpec(background="white", **USUAL)
     text = [f"@{edit.cage}", edit.posed, *(each for each in ("keep", "remove") if getattr(edit, each))]
