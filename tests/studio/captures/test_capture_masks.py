@@ -64,6 +64,7 @@ def assert_cameras(folder, cameras):
     assert np.median(turns) < 1.0 and np.median(off) < 0.01, (turns, off)
 
 
+@pytest.mark.nightly
 def test_a_turntable_before_a_wall(tmp_path, turning):
     """Features of the wall, which are more than a third, do not count."""
     pictures, _, cameras = turning
