@@ -102,7 +102,7 @@ def canonical_points_vjp(
         shared = [[*found, array_view(each, wp.vec3, shape)] for each in sums]
         launch_shards([ShardedWork(propagate_canonical_points, len(x), inputs, shared)], shards, device)
         by_nodes = array_view(sum_shards(sums), wp.vec3, shape)
-        return CanonicalSlopes(*found, position_map.vertex_gradient(by_nodes)[0])
+        return CanonicalSlopes(found[0], found[1], position_map.vertex_gradient(by_nodes)[0])
 
 
 def turned_camera(camera: Camera, numbers: np.ndarray) -> Camera:
