@@ -20,12 +20,14 @@ def difference_end(edits: wp.array(dtype=LatticeEdit), x: wp.vec3, along: wp.vec
     ahead = canonical_point(edits, x + dt * along)
     short = SHORT_DIFFERENCE * dt
     if same_map(here, ahead):
-        length = wp.length(ahead.position - here.position)
-        if length > LONG_STEP * dt:
-            near = canonical_point(edits, x + short * along)
-            if same_map(here, near) and length * SHORT_DIFFERENCE > 2.0 * wp.length(near.position - here.position):
+        step = ahead.position - here.position
+        if wp.length_sq(step) <= LONG_STEP * LONG_STEP * dt * dt:
+            return dt, ahead.position
+        near = canonical_point(edits, x + short * along)
+        if same_map(here, near):
+            if wp.length(step) > 2.0 * wp.length((near.position - here.position) / SHORT_DIFFERENCE):
                 return short, near.position
-        return dt, ahead.position
+            return dt, ahead.position
     behind = canonical_point(edits, x - dt * along)
     if same_map(here, behind):
         return -dt, behind.position

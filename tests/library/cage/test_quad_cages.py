@@ -7,6 +7,7 @@ import pytest
 import scipy.spatial
 import trimesh
 from fields import GridField, ball_densities
+from messages import MESSAGES
 from polygon_cages import quad_box, triangulated
 from refusals import refused
 from test_cage_generation import winding
@@ -57,6 +58,15 @@ def test_cages_of_quads_enclose_by_their_patches(shape):
         assert (winding(points, fine.vertices, fine.faces) > 0.99).all()
     off = trimesh.proximity.closest_point_naive(mesh, bilinear_points(cage))[1]
     assert off.min() > 0.005 * np.ptp(mesh.vertices, axis=0).max()  # patches differ from triangles of the surface
+
+
+def test_triangles_in_place_of_quads_are_said(monkeypatch):
+    from warpcage.cage import generate
+
+    monkeypatch.setattr(generate, "quad_cage", lambda shell, cage, plane: cage)  # as where none holds
+    with pytest.warns(UserWarning, match=MESSAGES["cage.no_quads"]):
+        cage = Cage.from_mesh(make.icosphere(2), 30, method="shell", faces="quads")
+    assert {len(face) for face in cage.polygons} == {3}
 
 
 def test_the_matching_is_the_best_one_by_trial_of_all():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import logging
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -311,6 +312,8 @@ def _cage_around_points(
             "vertices, a smaller margin, or begin with a box"
         )
     best = found[min(found, key=lambda name: (strayed[name], found[name].volume))]
+    if options.faces == "quads" and best.polygon_faces is None:
+        warnings.warn("no quads around this object hold: the cage has triangles", stacklevel=2)
     return best.vertices, best.face_array
 
 

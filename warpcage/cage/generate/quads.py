@@ -14,7 +14,7 @@ from ...mesh.surface import CELLS, PolygonFaces
 from .distance import ObjectShell, ObjectVoxels
 from .fit import cleared, drawn_close, row_sums, shortfall
 from .mirror import Mirror
-from .shell import MIN_WAY, crossings, flaw, tangle
+from .shell import MIN_WAY, crossings, flaw, folded_pairs, tangle
 
 _log = logging.getLogger(__name__)
 
@@ -186,9 +186,11 @@ def _held(
 def _not_holding(shell: ObjectShell, cage: ClosedMesh, fine: Any, need: float) -> set[int]:
     """Numbers of the faces of a cage that fold, cross others, or whose patches, `fine`, are nearer than `need` to the
     object (0: they are known to be clear)."""
+    vertices, faces = fine.operator @ cage.vertices, fine.faces.astype(np.int64)
     wrong = {*_folded(cage).tolist(), *crossing_faces(cage).reshape(-1).tolist()}
+    wrong |= set(fine.owner[folded_pairs(vertices, faces)].reshape(-1).tolist())
     if need:
-        short = shortfall(shell, fine.operator @ cage.vertices, fine.faces.astype(np.int64), need)
+        short = shortfall(shell, vertices, faces, need)
         wrong |= set(fine.owner[short > 0.0].tolist())
     return wrong
 

@@ -309,20 +309,19 @@ def tangle(shell, vertices, faces) -> str:
         return "it leaves a part of the object out"
     if len(intersecting_faces(vertices, faces)):
         return "it passes through itself"
-    if sharpest(vertices, faces) < _FOLDED:
+    if len(folded_pairs(vertices, faces)):
         return "two of its faces lie on each other"
     return ""
 
 
-def sharpest(vertices, faces) -> float:
-    """Least cosine between the normals of two faces of a closed mesh that share an edge: -1 where they lie on each
-    other."""
+def folded_pairs(vertices, faces) -> np.ndarray:
+    """(k, 2) faces of a closed mesh that share an edge and lie on each other."""
     a, b, c = np.swapaxes(vertices[faces], 0, 1)
     normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    one, two = np.lexsort(edges.T).reshape(-1, 2).T // 3
-    return float(np.einsum("ei,ei->e", normals[one], normals[two]).min())
+    pairs = np.lexsort(edges.T).reshape(-1, 2) // 3
+    return pairs[np.einsum("ei,ei->e", normals[pairs[:, 0]], normals[pairs[:, 1]]) < _FOLDED]
 
 
 def _load_pymeshlab() -> Any:
