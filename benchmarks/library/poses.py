@@ -34,13 +34,10 @@ SHOWN = 256
 FOUND = 0.01
 
 
-@command(
-    DEVICE,
-    option("--scenes", nargs="*", default=list(SCENES)),
-    option("--poses", nargs="*", default=list(POSES)),
-    option(
-        "--cases", nargs="*", default=["8 pictures"], choices=list(CASES), help="what is known; default: 8 pictures"
-    ),
+#: What scenes of ground truth are made of.
+SCENE_OPTIONS = (
+    option("--scenes", nargs="*", default=list(SCENES), help="models, or mesh files with colours, a cage .obj beside"),
+    option("--representation", default="voxels", choices=("voxels", "splats"), help="what the fields are"),
     option("--kind", default="mean_value", help="coordinates of the truth and of the fit"),
     option("--resolution", type=int, default=64, help="cells of the map's lattice"),
     option("--size", type=int, default=400, help="pixels along each side"),
@@ -49,6 +46,16 @@ FOUND = 0.01
     option("--edge", type=float, default=0.08, help="longest edge of the models' triangles"),
     option("--cuts", type=int, default=2, help="cuts of each face into boundary elements, for harmonic truth"),
     option("--quality", default="standard", help="quality of the fits of the fields"),
+)
+
+
+@command(
+    DEVICE,
+    *SCENE_OPTIONS,
+    option("--poses", nargs="*", default=list(POSES)),
+    option(
+        "--cases", nargs="*", default=["8 pictures"], choices=list(CASES), help="what is known; default: 8 pictures"
+    ),
     option("--figure", help="picture (.jpg): target, start, found, difference, a line for each scene's last pose"),
     JSON,
     QUICK,
@@ -73,20 +80,16 @@ def known(args) -> None:
     rows, lines = [], []
     for name in args.scenes:
         scene = TruthScene(name, args, device)
-        field = warpcage.fit(scene.training(), device=device, quality=args.quality, progress=False)
-        deformer = warpcage.Deformer(
-            field, scene.cage, coordinates=args.kind, resolution=args.resolution, device=device
-        )
+        deformer = _deformer(scene, args)
         line = []
         for pose, posed in pose_cages(name, scene.cage).items():
             if pose not in args.poses:
                 continue
             views = scene.posed_views(posed, args.kind)[0]["carried"]
-            truth = inverted(name, scene.mesh, scene.cage, posed, args.kind, device, cuts=args.cuts).points
+            truth = _places(scene, posed, args.kind)
 
             def distances(cage, truth=truth, scene=scene):
-                found = inverted(scene.name, scene.mesh, scene.cage, cage, args.kind, device, cuts=args.cuts).points
-                return np.linalg.norm(found - truth, axis=1) / scene.cage.size
+                return np.linalg.norm(_places(scene, cage, args.kind) - truth, axis=1) / scene.cage.size
 
             for case in args.cases:
                 start = scene.cage.rotate(CASES[case][4], axis="z")
@@ -105,7 +108,8 @@ def known(args) -> None:
                 line = [views[0].image, rest, seen, error_image(seen, views[0].image)]
                 if args.json:
                     given = {
-                        name: getattr(args, name) for name in ("size", "train_views", "kind", "resolution", "quality")
+                        name: getattr(args, name)
+                        for name in ("size", "train_views", "kind", "resolution", "quality", "representation")
                     }
                     write_results(args.json, device, **given, rows=rows)
         lines.append(line)
@@ -117,6 +121,59 @@ def known(args) -> None:
         cells = [np.clip(cell, 0, 1).repeat(side, axis=0).repeat(side, axis=1) for line in lines for cell in line]
         sheet = contact_sheet(cells, columns=4)
         write_jpeg(pathlib.Path(args.figure), sheet, quality=85)
+
+
+@command(DEVICE, *SCENE_OPTIONS, option("--frames", type=int, default=60), JSON, QUICK)
+def followed(args) -> None:
+    """A bend there and back, followed from picture to picture: the error of fit_poses at each frame.
+
+        python benchmarks poses followed --device cuda:0 --json docs/results/poses_followed.json
+        python benchmarks poses followed --quick
+
+    Each frame is 8 ray cast pictures of the model, bent by up to 45 degrees and back; fits begin with the pose before.
+    """
+    if args.quick:
+        args.device, args.size, args.train_views, args.samples = "cpu", 48, 30, 2
+        args.scenes, args.frames, args.resolution = ["animal"], 3, 24
+        args.edge, args.cuts, args.quality = 0.15, 1, "fast"
+    args.test_views = 8
+    device, rows = quiet_device(args.device), []
+    for name in args.scenes:
+        scene = TruthScene(name, args, device)
+        deformer, targets, truths = _deformer(scene, args), [], []
+        for number in range(args.frames):
+            degrees = 45 * np.sin(np.pi * (number + 1) / (args.frames + 1))
+            pose = scene.cage.bend(degrees, axis="x", towards="z")
+            targets.append(_targets("8 pictures", scene, scene.posed_views(pose, args.kind)[0]["carried"], np.empty(0)))
+            truths.append(_places(scene, pose, args.kind))
+        begin = time.perf_counter()
+        file = warpcage.fit_poses(deformer, targets)
+        seconds = time.perf_counter() - begin
+        for found, truth in zip([file[key] for key in file.times], truths, strict=True):
+            off = np.linalg.norm(_places(scene, found, args.kind) - truth, axis=1) / scene.cage.size
+            rows.append({"scene": name, "rms": _rms(off), "worst": float(off.max()), "seconds": seconds / args.frames})
+        rms = [row["rms"] for row in rows if row["scene"] == name]
+        third = max(len(rms) // 3, 1)
+        print(
+            f"{name}: {args.frames} frames, {seconds / args.frames:.2f} s each; rms median {np.median(rms):.2%}, worst "
+            f"{max(rms):.2%}; first third {np.mean(rms[:third]):.2%}, last third {np.mean(rms[-third:]):.2%}",
+            flush=True,
+        )
+    if args.json:
+        write_results(args.json, device, size=args.size, kind=args.kind, frames=args.frames, rows=rows)
+
+
+def _deformer(scene: TruthScene, args) -> warpcage.Deformer:
+    """A field fitted to pictures of a model at rest, and its cage."""
+    options = {"representation": args.representation, "quality": args.quality, "device": scene.device}
+    field = warpcage.fit(scene.training(), progress=False, **options)
+    resolution = args.resolution if args.representation == "voxels" else None
+    return warpcage.Deformer(field, scene.cage, coordinates=args.kind, resolution=resolution, device=scene.device)
+
+
+def _places(scene: TruthScene, posed: warpcage.Cage, kind: str) -> np.ndarray:
+    """(v, 3) where a pose takes the vertices of a model."""
+    return inverted(scene.name, scene.mesh, scene.cage, posed, kind, scene.device, cuts=scene.cuts).points
 
 
 def _targets(case: str, scene: TruthScene, views: list, truth: np.ndarray) -> warpcage.PoseTargets:

@@ -19,6 +19,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import trimesh
 import warp as wp
 from common import DEVICE, HERE, JSON, KINDS, QUICK, command, option, quiet_device, write_jpeg, write_results
 from ground_truth import CarriedMesh, InverseMap, subdivided_model
@@ -254,12 +255,13 @@ def covered(views) -> float:
 
 def pose_cages(name: str, rest: warpcage.Cage) -> dict[str, warpcage.Cage]:
     """The moderate poses of a scene: each moves parts by 0.1 to 0.4 of the cage's size."""
-    bend_axis, towards = {"bricks": ("x", "z"), "animal": ("x", "y"), "chair": ("z", "y")}[name]
+    bend_axis, towards = {"animal": ("x", "y"), "chair": ("z", "y")}.get(name, ("x", "z"))
+    corner = rest.vertices[rest.vertices.sum(axis=1).argmax()]  # of models of other files
     offset, center = {
         "bricks": ((0.25, -0.15, 0.2), (1.0, 0.0, 0.5)),
         "animal": ((0.1, 0.25, 0.2), (0.9, 0.0, 0.7)),
         "chair": ((-0.25, 0.2, 0.1), (-0.4, 0.0, 0.9)),
-    }[name]
+    }.get(name, (0.1 * rest.size * np.array([1.0, -0.6, 0.8]), corner))
     return {
         "rigid": rest.rotate(35, axis="x").rotate(50, axis="z"),
         "twist": rest.twist(45),
@@ -298,13 +300,22 @@ class Place:
 
 
 class TruthScene:
-    """A model, its cage, its training pictures, and its views at rest and in any pose."""
+    """A model, its cage, its training pictures, and its views at rest and in any pose.
+
+    name: of SCENES, or a mesh file with colours, its cage in an .obj of the same name beside it.
+    """
 
     def __init__(self, name: str, args, device):
         self.name, self.size, self.train_views, self.test_views = name, args.size, args.train_views, args.test_views
         self.samples, self.cuts, self.device = args.samples, args.cuts, device
-        self.mesh = CarriedMesh(*subdivided_model(name, args.edge), device=device)
-        self.cage = warpcage.Cage.load(CAGES / f"{name}.obj")
+        if name in SCENES:
+            self.mesh = CarriedMesh(*subdivided_model(name, args.edge), device=device)
+            self.cage = warpcage.Cage.load(CAGES / f"{name}.obj")
+        else:
+            shown = trimesh.load(name, force="mesh", process=False)
+            colors = shown.visual.face_colors[:, :3] / 255.0
+            self.mesh = CarriedMesh(shown.vertices, shown.faces, colors, texture=(0.0, 1.0), device=device)
+            self.cage = warpcage.Cage.load(pathlib.Path(name).with_suffix(".obj"))
         self._placed = None
 
     def training(self) -> Scene:

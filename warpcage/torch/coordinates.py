@@ -13,7 +13,7 @@ from ..coordinates.vjp import coordinates_vjp, deform_points_vjp
 from ..core.names import POINT_COORDINATES
 from ..interop.numbers import object_of, weight_counts
 from ..mesh.mesh import ClosedMesh
-from .operators import constant_number, host, like, on_stream, single, tensor_of
+from .operators import constant_number, host, like, in_order, single, tensor_of
 
 #: The number of a cage that was left out.
 NONE = -1
@@ -118,7 +118,7 @@ def _moved(
     coordinates: str,
     outside: str,
 ) -> torch.Tensor:
-    with on_stream(points):
+    with in_order(points):
         cages = _cage(rest, rest_vertices), _pose(pose, vertices)
         return library.deform_points(points.detach(), *cages, coordinates, outside=outside or None)
 
@@ -139,7 +139,7 @@ def _moved_vjp(
     coordinates: str,
     outside: str,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    with on_stream(points):
+    with in_order(points):
         cages = _cage(rest, rest_vertices), _pose(pose, vertices)
         found = deform_points_vjp(points, *cages, slopes, coordinates, outside=outside or None)
         return tensor_of(found.points), tensor_of(found.cage), tensor_of(found.deformed)
@@ -174,7 +174,7 @@ def _weights(
     coordinates: str,
     outside: str,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    with on_stream(points):
+    with in_order(points):
         surface, rows = _cage(cage, vertices), points.detach()
         if COORDINATE_KINDS[coordinates].has_face_weights:
             return library.green_coordinates(rows, surface, outside=outside)
@@ -197,7 +197,7 @@ def _weights_vjp(
     coordinates: str,
     outside: str,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    with on_stream(points):
+    with in_order(points):
         arrays = [wp.from_torch(each.contiguous()) for each in (by_vertices, by_faces) if each.shape[1]]
         slopes = (arrays[0], arrays[1]) if len(arrays) > 1 else arrays[0]
         found = coordinates_vjp(points, _cage(cage, vertices), slopes, coordinates, outside=outside)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,20 @@ from ..interop.numbers import number_of
 constant_number = torch.compiler.assume_constant_result(number_of)
 
 
-def on_stream(tensor: torch.Tensor) -> contextlib.AbstractContextManager[Any]:
-    """The stream on which torch works on a tensor's device, for launches of Warp. Each waits for the other."""
+@contextlib.contextmanager
+def in_order(tensor: torch.Tensor) -> Iterator[None]:
+    """Launches of Warp come behind what torch has queued on a tensor's device, and before what it queues then."""
     if not tensor.is_cuda:
-        return contextlib.nullcontext()
-    stream = wp.stream_from_torch(torch.cuda.current_stream(tensor.device))
-    return wp.ScopedStream(stream, sync_enter=True, sync_exit=True)
+        yield
+        return
+    # On a stream of Warp's own: poses replay graphs, and torch's default stream is CUDA's, which cannot be captured.
+    theirs = wp.stream_from_torch(torch.cuda.current_stream(tensor.device))
+    own = theirs.device.stream
+    own.wait_stream(theirs)
+    try:
+        yield
+    finally:
+        theirs.wait_stream(own)
 
 
 def single(tensor: torch.Tensor) -> torch.Tensor:

@@ -13,7 +13,7 @@ from ..gradients.frame import frame_gradient
 from ..interop.numbers import object_of
 from ..interop.posed import camera_number_gradient, canonical_points_vjp, posed_as, posed_vertices, turned_camera
 from ..view.camera import Camera
-from .operators import constant_number, host, like, on_stream, single, tensor_of
+from .operators import constant_number, host, like, in_order, single, tensor_of
 
 
 def to_canonical(
@@ -111,7 +111,7 @@ def _canonical(
     deformer: int,
     step: Optional[float],  # noqa: UP045 (torch reads the schema of an operator from it)
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    with on_stream(points):
+    with in_order(points):
         owner, pose = _posed(deformer, vertices)
         with pose:
             return owner.to_canonical(points.detach(), directions.detach(), step=step)
@@ -135,7 +135,7 @@ def _canonical_vjp(
     step: Optional[float],  # noqa: UP045
     by_vertices: bool,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    with on_stream(points):
+    with in_order(points):
         owner, pose = _posed(deformer, vertices)
         with pose:
             slopes, regions = (by_points, by_directions), wp.from_torch(region)
@@ -176,7 +176,7 @@ def _frame(
     step: Optional[float],  # noqa: UP045
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     owner = object_of(deformer, Deformer)
-    with on_stream(_place(owner)):
+    with in_order(_place(owner)):
         view, (owner, pose) = _camera(camera, camera_change), _posed(deformer, vertices)
         with pose:
             arrays = owner.render(view, background=tuple(background), step=step).arrays
@@ -205,7 +205,7 @@ def _frame_vjp(
     step: Optional[float],  # noqa: UP045
 ) -> tuple[torch.Tensor, torch.Tensor]:
     by_camera = camera_change is not None
-    with on_stream(by_rgb):
+    with in_order(by_rgb):
         view, (owner, pose) = _camera(camera, camera_change), _posed(deformer, vertices)
         with pose:
             found = frame_gradient(
