@@ -29,9 +29,9 @@ TEXTURE = [
 ]
 COMPLETION = ["argcomplete>=3.1"]  # words of commands in the shell, after Tab
 
-TORCH = ["torch>=2.6"]  # warpcage.torch: from there on compiled functions hold objects for constants
+TORCH = ["torch>=2.10"]  # warpcage.torch; its functions inside torch.compile need 2.14
 
-JAX = ["jax>=0.5"]  # warpcage.jax: Warp calls Python from it
+JAX = ["jax>=0.10"]  # warpcage.jax: Warp calls Python from it
 
 CLUSTER = ["ray>=2.40"]  # clusters of `warpcage run`: the core alone, without ray[default]
 

@@ -12,7 +12,7 @@ import warp as wp
 
 from ..errors import InputError, UseError
 from .modules import Kernel, require_loaded, start_warp
-from .threads import cpu_threads, device_turn, run_parts
+from .threads import collector_lock, cpu_threads, device_turn, run_parts
 
 #: Work of the first part of a launch on the CPU, in steps of `launch`: some hundredths of a second where it is known.
 FIRST_WORK = 1 << 20
@@ -88,6 +88,13 @@ def launch_off_tape(
     """`wp.launch` that no wp.Tape of a caller records; `options` are more of its own. All launches go through here."""
     # A tape would differentiate kernels that have no backward pass, and fails at structs with an array left out.
     return wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, record_tape=False, **options)
+
+
+@contextlib.contextmanager
+def captured(device: wp.Device, **options: Any) -> Iterator[wp.ScopedCapture]:
+    """`wp.ScopedCapture`, which no garbage collection of another thread breaks."""
+    with collector_lock(), wp.ScopedCapture(device, **options) as capture:
+        yield capture
 
 
 class RecordedLaunch:

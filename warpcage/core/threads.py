@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import gc
 import os
 import threading
 import time
@@ -31,6 +32,9 @@ MAX_GROWTH = 8
 #: Parts of a launch for each thread, so that none is left with the last long one: of many items, and of few, where each
 #: part should have ITEMS_PER_PART.
 PARTS_PER_THREAD, MIN_PARTS, ITEMS_PER_PART = 8, 2, 2048
+
+#: Seconds that a garbage collection waits for a capture, at most: the capture may wait for what its thread holds.
+MAX_COLLECTION_WAIT = 1.0
 
 _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()
@@ -236,6 +240,30 @@ def in_turn(method: _Method) -> _Method:
     return turn  # pyright: ignore[reportReturnType]
 
 
+def collector_lock() -> Lock:
+    """A lock: while a thread holds it, garbage collections of other threads wait."""
+    # Arrays that a collection frees are given back on CUDA's default stream. While another thread begins a capture that
+    # is an error, and ends the capture (Warp 1.19; what is freed once it has begun waits for its end).
+    if _note_collection not in gc.callbacks:
+        gc.callbacks.append(_note_collection)
+    return _collector_lock
+
+
+_collector_lock = threading.RLock()
+
+_collecting = threading.local()
+
+
+def _note_collection(phase: str, _: dict[str, Any]) -> None:
+    """Hold the lock from the start of a collection to its end."""
+    if phase == "start":
+        lock = _collector_lock
+        _collecting.lock = lock if lock.acquire(timeout=MAX_COLLECTION_WAIT) else None
+    elif (held := getattr(_collecting, "lock", None)) is not None:  # else it began before this was called
+        _collecting.lock = None
+        held.release()
+
+
 def _device_lock(device: wp.Device) -> Lock:
     return _device_locks.setdefault(device.ordinal, threading.RLock())
 
@@ -249,8 +277,8 @@ def _forget_pool() -> None:
 
 def _begin_child() -> None:
     """A forked process lacks the threads of the pool, and those that may hold a lock: tasks would wait for ever."""
-    global _pool, _pool_lock
-    _pool, _pool_lock = None, threading.Lock()
+    global _pool, _pool_lock, _collector_lock
+    _pool, _pool_lock, _collector_lock = None, threading.Lock(), threading.RLock()
     _device_locks.clear()
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import warp as wp
 
+from ..core.devices import captured
 from .launches import PoseLaunches
 from .sizes import PoseSizes
 
@@ -124,7 +125,7 @@ class PoseGraph:
         """The replay of launches; on the CPU they are launched again."""
         if self._device.is_cpu:
             return launches
-        with wp.ScopedCapture(device=self._device) as capture:
+        with captured(self._device) as capture:
             launches()
         assert capture.graph is not None
         return functools.partial(wp.capture_launch, capture.graph)

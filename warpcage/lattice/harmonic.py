@@ -10,7 +10,7 @@ import warp as wp
 
 from ..core.arrays import WarpStruct, empty_array
 from ..core.checks import checked_number, warn_caller
-from ..core.devices import lane_count, launch, launch_off_tape
+from ..core.devices import captured, lane_count, launch, launch_off_tape
 from ..core.modules import load_modules, require_loaded
 from ..core.reports import Progress, report_progress
 from ..kernels.lattice import harmonic as harmonic_kernels
@@ -193,7 +193,7 @@ class HarmonicSolver(MapSolver):
             # launches somewhat longer than the lists, so that the graph serves other poses of the cage as well
             held = sections.roomier()
             load_modules([harmonic_kernels, harmonic_coarse], self.device)
-            with wp.ScopedCapture(device=self.device) as capture:
+            with captured(self.device) as capture:
                 self.launch_cycle(held)
             graph = capture.graph
             assert graph is not None

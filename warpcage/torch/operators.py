@@ -25,11 +25,12 @@ def in_order(tensor: torch.Tensor) -> Iterator[None]:
     # On a stream of Warp's own: poses replay graphs, and torch's default stream is CUDA's, which cannot be captured.
     theirs = wp.stream_from_torch(torch.cuda.current_stream(tensor.device))
     own = theirs.device.stream
-    own.wait_stream(theirs)
-    try:
-        yield
-    finally:
-        theirs.wait_stream(own)
+    with wp.ScopedDevice(theirs.device):  # threads of torch's backward passes have no CUDA context of Warp's
+        own.wait_stream(theirs)
+        try:
+            yield
+        finally:
+            theirs.wait_stream(own)
 
 
 def single(tensor: torch.Tensor) -> torch.Tensor:

@@ -14,6 +14,11 @@ from warpcage import Cage, CageEdit, Deformer
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'warpcage[torch]'")
 from warpcage import torch as passing
 
+#: Compiled functions take objects from there on.
+compiles = pytest.mark.skipif(
+    tuple(int(part) for part in torch.__version__.split(".")[:2]) < (2, 14), reason="torch.compile needs torch 2.14"
+)
+
 CAGE = Cage.icosphere((0.2, -0.1, 0.3), 1.3, 1)
 POSE = CAGE.twist(40)
 BENT = BOX.bend(30, axis="x", towards="z")
@@ -107,6 +112,7 @@ def test_operators_are_what_torch_asks_of_them(device):
         torch.library.opcheck(operator, given, test_utils=tests)
 
 
+@compiles
 def test_functions_compile_whole(device):
     points, pose = some_points(device), tensor(POSE.vertices)
     deformer = bent_deformer("mean_value", device)
@@ -121,6 +127,7 @@ def test_functions_compile_whole(device):
     same_gradients(loss, torch.compile(loss, fullgraph=True, backend="aot_eager"), points, pose, vertices)
 
 
+@compiles
 def test_a_compiled_function_follows_another_cage():
     compiled = torch.compile(
         lambda points, rest, pose: passing.deform_points(points, rest, pose), fullgraph=True, backend="aot_eager"

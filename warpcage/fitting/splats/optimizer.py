@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ...core.arrays import empty_array, struct_array
 from ...core.checks import checked_whole, require_type
-from ...core.devices import HeldOnDevice, launch, resolve_device
+from ...core.devices import HeldOnDevice, captured, launch, resolve_device
 from ...core.modules import load_modules
 from ...core.names import counted
 from ...core.reports import Progress, reports_progress
@@ -303,7 +303,7 @@ class SplatFit(HeldOnDevice):
             self._is_warm = True
         else:
             if self._graph is None:
-                with wp.ScopedCapture(self.device, force_module_load=False) as capture:
+                with captured(self.device, force_module_load=False) as capture:
                     self._launch_step()
                 self._graph = capture.graph
             wp.capture_launch(self._graph)
