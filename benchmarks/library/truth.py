@@ -17,6 +17,7 @@ import dataclasses
 import pathlib
 import time
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -312,7 +313,7 @@ class TruthScene:
             self.mesh = CarriedMesh(*subdivided_model(name, args.edge), device=device)
             self.cage = warpcage.Cage.load(CAGES / f"{name}.obj")
         else:
-            shown = trimesh.load(name, force="mesh", process=False)
+            shown: Any = trimesh.load(name, force="mesh", process=False)
             colors = shown.visual.face_colors[:, :3] / 255.0
             self.mesh = CarriedMesh(shown.vertices, shown.faces, colors, texture=(0.0, 1.0), device=device)
             self.cage = warpcage.Cage.load(pathlib.Path(name).with_suffix(".obj"))

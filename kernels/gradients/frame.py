@@ -49,7 +49,7 @@ kept_numbers = wp.types.vector(length=48, dtype=wp.float32)
 
 @wp.struct
 class FrameLoss:
-    """Derivatives of a loss by a frame's arrays (h * w,) each; none where it does not depend on them."""
+    """Derivatives of a loss by the arrays of frames, (views * h * w,) each; none where it does not depend on them."""
 
     rgb: wp.array(dtype=wp.vec3)
     alpha: wp.array(dtype=wp.float32)
@@ -63,7 +63,7 @@ class FrameSlopes:
     nodes: wp.array(dtype=wp.vec3)  # (nodes,) by their positions, world units
     density: wp.array(dtype=wp.float32)  # (rows,)
     harmonics: wp.array2d(dtype=wp.float32)  # (rows, 24 or 27)
-    rays: wp.array2d(dtype=wp.float32)  # (h * w, 7) by the camera's numbers (fitting/cameras), of each ray alone
+    rays: wp.array2d(dtype=wp.float32)  # (views * h * w, 7) by the camera (fitting/cameras), of each ray alone
 
 
 vec15 = wp.types.vector(length=15, dtype=wp.float32)
@@ -72,27 +72,68 @@ vec15 = wp.types.vector(length=15, dtype=wp.float32)
 @forward.func_native("""
     const int width = sh.shape[1];
     const bool luminous = width == 24;
-    float blend[27];
+    // parts of 16, 4 and 4 numbers are luminance, orange and green; of 9 each red, green and blue
+    const int most[3] = {luminous ? 16 : 9, luminous ? 4 : 9, luminous ? 4 : 9};
+    float spread[27], blend[27], dots[8][3];  // basis of each number; their blend; sums of each corner's parts
+    for (int b = 0; b < 16; ++b)
+        if (luminous)
+        {
+            spread[b] = basis.c[b];
+            if (b < 4)
+                spread[16 + b] = spread[20 + b] = basis.c[b];
+        }
+        else if (b < 9)
+            spread[b] = spread[9 + b] = spread[18 + b] = basis.c[b];
     for (int n = 0; n < 27; ++n)
         blend[n] = 0.0f;
     for (int corner = 0; corner < 8; ++corner)
-        if (rows.c[corner] >= 0)
+    {
+        dots[corner][0] = dots[corner][1] = dots[corner][2] = 0.0f;
+        if (rows.c[corner] < 0)
+            continue;
+        const float* row = sh.data + (size_t)rows.c[corner] * width;
+        const float weight = weights.c[corner];
+        float held[27], parts[27];
+#if defined(__CUDA_ARCH__)
+        if (luminous && ((size_t)row & 15) == 0)  // a quarter of the loads, which bound it
+            for (int n = 0; n < 6; ++n)
+            {
+                const float4 four = ((const float4*)row)[n];
+                held[4 * n] = four.x;
+                held[4 * n + 1] = four.y;
+                held[4 * n + 2] = four.z;
+                held[4 * n + 3] = four.w;
+            }
+        else
+#endif
+            for (int n = 0; n < 24; ++n)
+                held[n] = row[n];
+        for (int n = 24; n < 27; ++n)
+            held[n] = luminous ? 0.0f : row[n];
+        for (int n = 0; n < 27; ++n)
         {
-            const float* row = sh.data + (size_t)rows.c[corner] * width;
-            const float weight = weights.c[corner];
-            if (luminous)
-                for (int n = 0; n < 24; ++n)
-                    blend[n] += weight * row[n];
-            else
-                for (int n = 0; n < 27; ++n)
-                    blend[n] += weight * row[n];
+            blend[n] += weight * held[n];
+            parts[n] = luminous && n > 23 ? 0.0f : spread[n] * held[n];
         }
-    // parts of 16, 4 and 4 numbers are luminance, orange and green; of 9 each red, green and blue
-    const int most[3] = {luminous ? 16 : 9, luminous ? 4 : 9, luminous ? 4 : 9};
+        if (luminous)
+        {
+            float eight[8];
+            for (int lane = 0; lane < 8; ++lane)
+                eight[lane] = parts[lane] + parts[8 + lane];
+            dots[corner][0] = ((eight[0] + eight[4]) + (eight[1] + eight[5])) +
+                ((eight[2] + eight[6]) + (eight[3] + eight[7]));
+            dots[corner][1] = (parts[16] + parts[17]) + (parts[18] + parts[19]);
+            dots[corner][2] = (parts[20] + parts[21]) + (parts[22] + parts[23]);
+        }
+        else
+            for (int part = 0; part < 3; ++part)
+                for (int b = 0; b < 9; ++b)
+                    dots[corner][part] += parts[9 * part + b];
+    }
     float a[3] = {0.0f, 0.0f, 0.0f};
-    for (int part = 0, n = 0; part < 3; ++part)
-        for (int b = 0; b < most[part]; ++b)
-            a[part] += basis.c[b] * blend[n++];
+    for (int corner = 0; corner < 8; ++corner)
+        for (int part = 0; part < 3; ++part)
+            a[part] += weights.c[corner] * dots[corner][part];
     const float colors[3] = {luminous ? a[0] + a[1] - 0.5f * a[2] : a[0], luminous ? a[0] + a[2] : a[1],
         luminous ? a[0] - a[1] - 0.5f * a[2] : a[2]};
     wp::vec_t<15, wp::float32> result;
@@ -106,31 +147,17 @@ vec15 = wp.types.vector(length=15, dtype=wp.float32)
     const float red = result.c[12], green = result.c[13], blue = result.c[14];
     const float by_part[3] = {luminous ? red + green + blue : red, luminous ? red - blue : green,
         luminous ? green - 0.5f * (red + blue) : blue};
-    float by_number[27], x = 0.0f, y = 0.0f, z = 0.0f;
+    for (int corner = 0; corner < 8; ++corner)
+        result.c[corner] = by_part[0] * dots[corner][0] + by_part[1] * dots[corner][1] + by_part[2] * dots[corner][2];
+    float x = 0.0f, y = 0.0f, z = 0.0f;
     for (int part = 0, n = 0; part < 3; ++part)
         for (int b = 0; b < most[part]; ++b, ++n)
         {
-            by_number[n] = by_part[part] * basis.c[b];
             const float turned = by_part[part] * blend[n];
             x += turned * basis_x.c[b];
             y += turned * basis_y.c[b];
             z += turned * basis_z.c[b];
         }
-    for (int corner = 0; corner < 8; ++corner)
-    {
-        float sums[8] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};  // side by side on a CPU
-        if (rows.c[corner] >= 0)
-        {
-            const float* row = sh.data + (size_t)rows.c[corner] * width;
-            for (int n = 0; n < 24; n += 8)
-                for (int lane = 0; lane < 8; ++lane)
-                    sums[lane] += by_number[n + lane] * row[n + lane];
-            if (!luminous)
-                for (int lane = 0; lane < 3; ++lane)
-                    sums[lane] += by_number[24 + lane] * row[24 + lane];
-        }
-        result.c[corner] = ((sums[0] + sums[4]) + (sums[1] + sums[5])) + ((sums[2] + sums[6]) + (sums[3] + sums[7]));
-    }
     result.c[8] = x;
     result.c[9] = y;
     result.c[10] = z;
@@ -344,18 +371,22 @@ def accumulate_frame_gradient(
     grid: VoxelGrid,
     columns: Columns,
     edit: EditData,
-    camera: PinholeCamera,
+    cameras: wp.array(dtype=PinholeCamera),
+    view_rays: int,
     background: wp.vec3,
     options: MarchOptions,
     loss: FrameLoss,
     slopes: FrameSlopes,
 ):
-    """Add the gradient of a loss of the frame of one edit to `slopes`. One item per ray, tile by tile.
-    Nodes and rows are shared: for CPU threads that have arrays of their own."""
-    column, row = tile_pixel(first + wp.tid(), camera.width)
+    """Add the gradient of a loss of frames of one edit and size to `slopes`. One item per ray, tile by tile, each view
+    `view_rays`. Nodes and rows are shared: for CPU threads that have arrays of their own."""
+    item = first + wp.tid()
+    view = item // view_rays
+    camera = cameras[view]
+    column, row = tile_pixel(item - view * view_rays, camera.width)
     if column >= camera.width or row >= camera.height:
         return
-    pixel = row * camera.width + column
+    pixel = (view * camera.height + row) * camera.width + column
     by_color = wp.vec3()
     by_alpha = float(0.0)
     by_depth = float(0.0)

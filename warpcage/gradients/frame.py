@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
@@ -23,7 +24,7 @@ from ..kernels.render.rays import MarchOptions
 from ..kernels.view.rays import TILE_SIZE
 from ..render.scene import PosedScene
 from ..splats.splat_field import SplatField
-from ..view.camera import Camera, camera_struct
+from ..view.camera import Camera, camera_array
 from .loss import FrameGradient, column_sums, frame_loss
 from .splats import splat_gradient
 
@@ -74,23 +75,27 @@ def frame_gradient(
             if step is not None:
                 raise InputError("splats are not marched through: leave step out")
             return splat_gradient(deformer, camera, loss, background, **wanted)
-        return _voxel_gradient(deformer, camera, loss, RenderOptions(background=background, step=step), **wanted)
+        options = RenderOptions(background=background, step=step)
+        return voxel_gradient(deformer, [camera], loss, options, **wanted)
 
 
-def _voxel_gradient(
+def voxel_gradient(
     deformer: Deformer[VoxelField],
-    camera: Camera,
+    cameras: Sequence[Camera],
     given: dict[str, wp.array],
     options: RenderOptions,
     *,
-    by_vertices: bool,
-    by_camera: bool,
-    by_field: bool,
+    by_vertices: bool = False,
+    by_camera: bool = False,
+    by_field: bool = False,
 ) -> FrameGradient:
-    """See `frame_gradient`. Samples are held at their distances from the camera."""
+    """The sum of the gradients of frames of one size; given: (views * h * w,) by their parts, view after view.
+    `by_camera` is for one. See `frame_gradient`."""
+    # Samples are held at their distances from the camera.
     scene = _plain_scene(deformer)
     field = deformer.field
-    view = FieldView(field, camera, options)
+    views = [FieldView(field, camera, options) for camera in cameras]
+    view = max(views, key=lambda view: view.step)  # steps differ where a camera is very far away
     if view.side != 1:
         raise InputError(f"a gradient is of frames with one ray a pixel, the field's supersampling is {view.side}")
     if view.layers is not None:
@@ -106,8 +111,9 @@ def _voxel_gradient(
     march.step, march.inverse_step, march.stop = view.step, 1.0 / view.step, STOP_TRANSMITTANCE
     march.arc_opacity = int(deformer.density == "opacity")
     sums = _Sums(tuple(edit.node_counts), stored if by_field else None, view if by_camera else None, field.device)
-    inputs = [grid, field.marching.columns.columns, edit, camera_struct(camera, field.center)]
-    sums.add(view, [*inputs, wp.vec3(*map(float, view.color)), march, loss])
+    placed = camera_array(cameras, field.center, field.device)
+    inputs = [grid, field.marching.columns.columns, edit, placed, view.threads]
+    sums.add(len(views) * view.threads, [*inputs, wp.vec3(*map(float, view.color)), march, loss])
     found = sums.gradient()
     if by_vertices:
         position_map = scene.lattices.maps[0]
@@ -138,13 +144,13 @@ class _Sums:
         rays = 0 if view is None else view.camera.width * view.camera.height
         self._rays = wp.zeros((rays, int(CAMERA_NUMBERS)), dtype=wp.float32, device=device)
 
-    def add(self, view: FieldView, inputs: list[Any]) -> None:
-        """Launch the march of a view."""
+    def add(self, rays: int, inputs: list[Any]) -> None:
+        """Launch the march of whole tiles of rays."""
         if not self._device.is_cpu:
-            launch(accumulate_frame_gradient, view.threads, inputs, [self._slopes(0)], device=self._device)
+            launch(accumulate_frame_gradient, rays, inputs, [self._slopes(0)], device=self._device)
             return
         outputs = [[self._slopes(shard)] for shard in range(len(self._blocks))]
-        tiles = view.threads // TILE_SIZE
+        tiles = rays // TILE_SIZE
         work = ShardedWork(accumulate_frame_gradient, tiles, inputs, outputs, items=TILE_SIZE)
         launch_shards([work], len(self._blocks), self._device)
 

@@ -37,7 +37,7 @@ MAX_CELLS = 64
 MIN_PIXELS = 24
 
 #: Of the starts that are tried, how many a rigid fit continues from; and the largest turn of one, degrees.
-CONTINUED, MAX_TURN = 3, 75.0
+CONTINUED, MAX_TURN = 6, 75.0
 
 #: Evaluations of such a rigid fit.
 TRIED = 10
@@ -104,7 +104,7 @@ def fit_pose(
     parameters: Any = "vertices",
     regularize: float | Mapping[str, float] = DEFAULT_WEIGHTS["rigid"],
     start: Any = None,
-    restarts: int = 16,
+    restarts: int = 32,
     max_pixels: int = 400,
     uncertainty: bool = False,
     seed: int = 0,
@@ -175,7 +175,7 @@ def fit_poses(
     times: Sequence[float] | None = None,
     cameras: Any = None,
     start: Any = None,
-    restarts: int = 16,
+    restarts: int = 32,
     progress: bool | Progress = False,
     **options: Any,
 ) -> PoseFile:

@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import real_array
 from ..errors import InputError
+from ..field.render import RenderOptions
 from ..field.voxel_field import VoxelField
-from ..gradients.frame import frame_gradient
+from ..gradients.frame import frame_gradient, voxel_gradient
 from ..scene.scene import Scene
 from ..view.camera import Camera
-from ..view.frame import parse_background
+from ..view.frame import parse_background, part_type
 
 #: Weights of squares of opacities, and of depths as shares of the cage's size, beside those of colours.
 ALPHA, DEPTH = 0.5, 20.0
@@ -200,59 +201,72 @@ class PictureLoss:
             self.depths = np.where(_averaged(known.astype(np.float32), height, width) > 0.999, mean, np.nan)
         self._covered: float | None = None
 
-    def frames(self, deformer: Any) -> list[Any]:
-        """What the cameras see of the last pose."""
-        return list(deformer.render(self.cameras, background=self.background))
+    def frames(self, deformer: Any) -> dict[str, np.ndarray]:
+        """What is compared of the last pose's frames: "rgb" (n, h, w, 3), "alpha" and "depth" (n, h, w)."""
+        wanted = {
+            "rgb": self.images is not None,
+            "alpha": self._covered is None or self.alphas is not None or self.depths is not None,
+            "depth": self.depths is not None,
+        }
+        frames = deformer.render(self.cameras, background=self.background)
+        return {name: np.stack([getattr(frame, name) for frame in frames]) for name in wanted if wanted[name]}
 
     def __call__(self, deformer: Any, *, with_gradient: bool = True) -> tuple[float, Any]:
         """The loss of the last pose of a Deformer, and its gradient (v, 3) by the posed cage's vertices, or 0."""
         frames = self.frames(deformer)
         covered = self._covered_pixels(frames)
-        loss, found, at_once = 0.0, [], isinstance(deformer.field, VoxelField)
-        for view, (camera, frame) in enumerate(zip(self.cameras, frames, strict=True)):
-            parts = self._parts(view, frame)
-            loss += sum(value for value, _ in parts.values())
-            if not with_gradient:
-                continue
-            slopes: dict[str, Any] = {f"{name}_gradient": slope / covered for name, (_, slope) in parts.items()}
-            found.append(
-                frame_gradient(deformer, camera, **slopes, background=self.background, by_vertices=not at_once)
-            )
+        parts = self._parts(frames)
+        loss = sum(value for value, _ in parts.values()) / covered
         if not with_gradient:
-            return loss / covered, 0.0
-        if at_once:  # the way back through the map is as long as that to it: once for all views
-            sums = np.sum([each.nodes.numpy() for each in found], axis=0)
-            by_nodes = wp.array(sums, dtype=wp.vec3, device=deformer.device)
-            by_vertices = deformer.posed_edits().lattices.maps[0].vertex_gradient(by_nodes)[0].numpy()
+            return loss, 0.0
+        slopes = {name: slope / covered for name, (_, slope) in parts.items()}
+        if isinstance(deformer.field, VoxelField):
+            given = {
+                name: wp.array(slope.reshape(-1, *slope.shape[3:]), dtype=part_type(name), device=deformer.device)
+                for name, slope in slopes.items()
+            }
+            options = RenderOptions(background=self.background)
+            with deformer.lock:
+                found = [voxel_gradient(deformer, self.cameras, given, options, by_vertices=True)]
         else:
-            by_vertices = sum(each.vertices.numpy() for each in found)
-        return loss / covered, np.asarray(by_vertices, np.float64)
+            found = [
+                frame_gradient(
+                    deformer,
+                    camera,
+                    slopes["rgb"][view] if "rgb" in slopes else None,
+                    **{f"{name}_gradient": slope[view] for name, slope in slopes.items() if name != "rgb"},
+                    background=self.background,
+                    by_vertices=True,
+                )
+                for view, camera in enumerate(self.cameras)
+            ]
+        by_vertices = [each.vertices.numpy() for each in found if each.vertices is not None]
+        return loss, np.sum(by_vertices, axis=0, dtype=np.float64)
 
-    def _covered_pixels(self, frames: list[Any]) -> float:
+    def _covered_pixels(self, frames: dict[str, np.ndarray]) -> float:
         """How many pixels the object covers, of the first frames where pictures have no opacity."""
         if self._covered is None:
-            seen = [frame.alpha for frame in frames] if self.alphas is None else self.alphas
-            self._covered = max(float(np.sum(seen)), 1.0)
+            self._covered = max(float(np.sum(frames["alpha"] if self.alphas is None else self.alphas)), 1.0)
         return self._covered
 
-    def _compared(self, view: int, frame: Any) -> dict[str, tuple[np.ndarray, float, np.ndarray]]:
-        """Differences of a view from the parts of its frame, where they begin to count linearly, and their weights."""
-        parts, weights = {}, self.weights[view]
+    def _compared(self, frames: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, float, np.ndarray]]:
+        """Differences of frames from the pictures by their parts, where they begin to count linearly, and weights."""
+        parts, weights = {}, self.weights
         if self.images is not None:
-            parts["image"] = self._smooth(frame.rgb - self.images[view]), ROBUST, weights[..., None] / 3
+            parts["rgb"] = self._smooth(frames["rgb"] - self.images), ROBUST, weights[..., None] / 3
         if self.alphas is not None:
-            parts["alpha"] = self._smooth(frame.alpha - self.alphas[view]), ROBUST, ALPHA * weights
+            parts["alpha"] = self._smooth(frames["alpha"] - self.alphas), ROBUST, ALPHA * weights
         elif self.depths is not None:  # what has a depth is covered: a pose may not leave it out
-            parts["alpha"] = self._smooth(frame.alpha - 1), ROBUST, ALPHA * weights * np.isfinite(self.depths[view])
+            parts["alpha"] = self._smooth(frames["alpha"] - 1), ROBUST, ALPHA * weights * np.isfinite(self.depths)
         if self.depths is not None:
-            known = np.isfinite(self.depths[view]) & np.isfinite(frame.depth)
-            off = np.where(known, frame.depth, 0) - np.where(known, self.depths[view], 0)
+            known = np.isfinite(self.depths) & np.isfinite(frames["depth"])
+            off = np.where(known, frames["depth"], 0) - np.where(known, self.depths, 0)
             parts["depth"] = off / self._unit, ROBUST_DEPTH, DEPTH * weights * known
         return parts
 
-    def _parts(self, view: int, frame: Any) -> dict[str, tuple[float, np.ndarray]]:
-        """Sums over the pixels of a view, and their derivatives by the parts of its frame."""
-        parts = {name: robust(*compared) for name, compared in self._compared(view, frame).items()}
+    def _parts(self, frames: dict[str, np.ndarray]) -> dict[str, tuple[float, np.ndarray]]:
+        """Sums over all pixels, and their derivatives by the parts of the frames."""
+        parts = {name: robust(*compared) for name, compared in self._compared(frames).items()}
         return {
             name: (value, slope / self._unit if name == "depth" else self._smooth(slope))
             for name, (value, slope) in parts.items()
@@ -262,30 +276,31 @@ class PictureLoss:
         """(m,) all differences of the last pose by the roots of their weights: the sum of squares is about the loss."""
         frames = self.frames(deformer)
         covered = self._covered_pixels(frames)
-        parts = [part for view, frame in enumerate(frames) for part in self._compared(view, frame).values()]
+        parts = self._compared(frames).values()
         return np.concatenate([(np.sqrt(weights / covered) * off).ravel() for off, _, weights in parts])
 
     def shift(self, deformer: Any, center: np.ndarray) -> np.ndarray:
         """(3,) by which the last pose must move, so that silhouettes lie where the pictures have them."""
         # Middles of silhouettes; the least squares of what the cameras see of a shift at the distance of the center.
         rows, right = [1e-3 * np.eye(3)], [np.zeros(3)]
-        for view, (camera, frame) in enumerate(zip(self.cameras, self.frames(deformer), strict=True)):
-            wanted, seen = self._middle(self._shown(view), view), self._middle(self._shown(view, frame), view)
+        shown, shown_now = self._shown(), self._shown(self.frames(deformer))
+        for view, camera in enumerate(self.cameras):
+            wanted, seen = (self._middle(pixels[view], view) for pixels in (shown, shown_now))
             if wanted is not None and seen is not None:
                 depth = max(float((center - camera.center) @ camera.rotation[:, 2]), 1e-6 * self._unit)
                 rows.append(camera.rotation[:, :2].T)
                 right.append((wanted - seen) * depth / [camera.fx, camera.fy])
         return np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
 
-    def _shown(self, view: int, frame: Any = None) -> np.ndarray:
-        """(h, w) how much of each pixel the object covers, in a picture or in a frame of it."""
+    def _shown(self, frames: dict[str, np.ndarray] | None = None) -> np.ndarray:
+        """(n, h, w) how much of each pixel the object covers, in the pictures or in frames of it."""
         if self.alphas is not None:
-            return self.alphas[view] if frame is None else frame.alpha
+            return self.alphas if frames is None else frames["alpha"]
         if self.images is not None:
-            image = self.images[view] if frame is None else frame.rgb
-            return np.abs(image - self.background).max(axis=-1) > SHOWN
+            images = self.images if frames is None else frames["rgb"]
+            return np.abs(images - self.background).max(axis=-1) > SHOWN
         assert self.depths is not None
-        return np.isfinite(self.depths[view] if frame is None else frame.depth)
+        return np.isfinite(self.depths if frames is None else frames["depth"])
 
     def _middle(self, shown: np.ndarray, view: int) -> np.ndarray | None:
         """(2,) the middle of what a picture shows, pixels; None where it shows nothing."""
@@ -295,12 +310,12 @@ class PictureLoss:
         return np.einsum("hw,hwi->i", weights, places) / total if total > 0.5 else None
 
     def _smooth(self, values: np.ndarray) -> np.ndarray:
-        """A blurred picture: its own adjoint, as what is around it counts as zero."""
+        """Blurred pictures (n, h, w, ...): its own adjoint, as what is around them counts as zero."""
         if not self._blur:
             return values
         from scipy.ndimage import gaussian_filter
 
-        return gaussian_filter(values, (self._blur, self._blur, *[0] * (values.ndim - 2)), mode="constant")
+        return gaussian_filter(values, (0, self._blur, self._blur, *[0] * (values.ndim - 3)), mode="constant")
 
 
 def robust(difference: np.ndarray, scale: float, weights: np.ndarray) -> tuple[float, np.ndarray]:

@@ -13,7 +13,7 @@ from ..coordinates.vjp import coordinates_vjp, deform_points_vjp
 from ..core.names import POINT_COORDINATES
 from ..interop.numbers import object_of, weight_counts
 from ..mesh.mesh import ClosedMesh
-from .operators import constant_number, host, like, in_order, single, tensor_of
+from .operators import constant_number, host, in_order, like, single, tensor_of
 
 #: The number of a cage that was left out.
 NONE = -1

@@ -13,7 +13,7 @@ from ..gradients.frame import frame_gradient
 from ..interop.numbers import object_of
 from ..interop.posed import camera_number_gradient, canonical_points_vjp, posed_as, posed_vertices, turned_camera
 from ..view.camera import Camera
-from .operators import constant_number, host, like, in_order, single, tensor_of
+from .operators import constant_number, host, in_order, like, single, tensor_of
 
 
 def to_canonical(

@@ -163,7 +163,7 @@ field
     pictures={"required": True},
     parameters={"choices": ("rigid", "affine", "handles", "vertices"), "default": "vertices"},
     regularize={"type": length, "default": 0.05},
-    restarts={"type": whole_number, "default": 16},
+    restarts={"type": whole_number, "default": 32},
     max_pixels=400,
     seed={"type": whole_number, "default": 0},
 )
