@@ -97,7 +97,13 @@ def known(args) -> None:
                 found = warpcage.fit_pose(deformer, _targets(case, scene, views, truth), start=start)
                 seconds = time.perf_counter() - begin
                 off = distances(found.cage)
-                row = {"scene": name, "pose": pose, "case": case, "start": _rms(distances(start)), "rms": _rms(off)}
+                row = {
+                    "scene": pathlib.Path(name).stem,
+                    "pose": pose,
+                    "case": case,
+                    "start": _rms(distances(start)),
+                    "rms": _rms(off),
+                }
                 row |= {"worst": float(off.max()), "seconds": seconds, "loss": found.loss}
                 row["evaluations"] = sum(len(step.losses) for step in found.history)
                 rows.append(row)
@@ -151,8 +157,15 @@ def followed(args) -> None:
         seconds = time.perf_counter() - begin
         for found, truth in zip([file[key] for key in file.times], truths, strict=True):
             off = np.linalg.norm(_places(scene, found, args.kind) - truth, axis=1) / scene.cage.size
-            rows.append({"scene": name, "rms": _rms(off), "worst": float(off.max()), "seconds": seconds / args.frames})
-        rms = [row["rms"] for row in rows if row["scene"] == name]
+            rows.append(
+                {
+                    "scene": pathlib.Path(name).stem,
+                    "rms": _rms(off),
+                    "worst": float(off.max()),
+                    "seconds": seconds / args.frames,
+                }
+            )
+        rms = [row["rms"] for row in rows[-args.frames :]]
         third = max(len(rms) // 3, 1)
         print(
             f"{name}: {args.frames} frames, {seconds / args.frames:.2f} s each; rms median {np.median(rms):.2%}, worst "

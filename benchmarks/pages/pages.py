@@ -307,8 +307,15 @@ def blender_files(files: list[dict]) -> list[str]:
 def poses_known(files: list[dict]) -> list[str]:
     head = ["scene", "pose", "what is known", "rms at the start", "rms found", "largest", "seconds"]
     rows = [
-        [row["scene"], row["pose"], row["case"], f"{row['start']:.1%}", f"**{row['rms']:.2%}**", f"{row['worst']:.2%}"]
-        + [f"{row['seconds']:.0f}"]
+        [
+            row["scene"] + (", splats" if found["representation"] == "splats" else ""),
+            row["pose"],
+            row["case"],
+            f"{row['start']:.1%}",
+            f"**{row['rms']:.2%}**",
+            f"{row['worst']:.2%}",
+        ]
+        + [f"{row['seconds']:.1f}"]
         for found in files
         for row in found["rows"]
     ]
