@@ -147,6 +147,7 @@ def whole_loss(device, by_sky, sky=None):
     return SimpleNamespace(**parts, **found, scale=scale, random=random)
 
 
+@pytest.mark.nightly
 def test_gradients_match_finite_differences(device):
     """Of the whole loss: by what is before and behind the box, and by the field in it."""
     whole = whole_loss(device, by_sky=0.0)

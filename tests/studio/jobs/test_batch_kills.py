@@ -102,6 +102,7 @@ def about_workers(lines):
     return [line for line in lines if "fewer workers are quicker" not in line]
 
 
+@pytest.mark.nightly
 @RAY_AT_NIGHT
 def test_a_worker_killed_between_two_chunks_loses_nothing(address, job, whole, tmp_path):
     """While it makes items of a chunk and writes files of the one before."""
@@ -327,6 +328,7 @@ def test_a_full_disk_ends_the_run(address, tmp_path):
     assert run_with(path, out, Making).complete and left_over(out) == []
 
 
+@pytest.mark.nightly
 @RAY_AT_NIGHT
 def test_workers_that_cannot_start_end_the_run_in_one_line(address, tmp_path):
     path = write_frames(tmp_path / "job", 4)
@@ -443,6 +445,7 @@ cluster.shutdown()
 """
 
 
+@pytest.mark.nightly
 def test_a_lost_machine_costs_an_item_a_try(tmp_path):
     """Two nodes of a cluster on one machine, one of which is killed with all that runs on it."""
     pytest.importorskip("ray", reason="clusters need Ray")
