@@ -131,7 +131,10 @@ def fit_pose(
             displacements, each times a number. A basis alone is fitted at all sizes, without what comes before.
         regularize: Weight of the prior that vertices move rigidly with their neighbours (Sorkine and Alexa 2007), at
             least 0; or weights by name: "rigid" (0.05 where it is not named), "volume" (of the square of the relative
-            change of volume), "start" (of the mean square distance from the start, as a share of the size).
+            change of volume), "symmetry" (that the pose is its own mirror image, as the cage at rest is across the
+            middle of x, y or z: of the mean square difference of squared distances between vertices and between their
+            images, over the size's square), "start" (of the mean square distance from the start, as a share of the
+            size).
         start: The pose to begin with, as `Deformer.pose` takes one. None is the cage at rest.
         restarts: How many turns of the start by up to 75 degrees are tried first, beside none, each shifted to where
             the pictures show the object. 0 begins with the start itself.

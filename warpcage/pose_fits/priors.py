@@ -1,4 +1,4 @@
-"""What is known of a pose before its pictures: near rigid, of the same volume, not far from the pose before."""
+"""What is known of a pose before its pictures: near rigid, of the same volume, symmetric, near the pose before."""
 
 from __future__ import annotations
 
@@ -7,12 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from ..cage.generate.distance import bounds_of
+from ..cage.generate.mirror import mirror_axes, reflected
 from ..core.checks import checked_number
 from ..core.names import checked_choice
+from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 
 #: Weights of priors where `regularize` does not name them.
-DEFAULT_WEIGHTS = {"rigid": 0.05, "volume": 0.0, "start": 0.0}
+DEFAULT_WEIGHTS = {"rigid": 0.05, "volume": 0.0, "start": 0.0, "symmetry": 0.0}
+
+#: Pairs of vertices whose distances are compared with their mirror images, at most.
+MAX_PAIRS = 20_000
 
 
 class Rigidity:
@@ -59,6 +65,34 @@ def _corners(mesh: ClosedMesh, vertices: np.ndarray) -> list[np.ndarray]:
     return [(vertices - vertices.mean(axis=0))[mesh.faces[:, corner]] for corner in range(3)]
 
 
+class Asymmetry:
+    """Mean square of what distances of vertices differ by from those of their mirror images, squares over the size's
+    square: 0 for what is its own mirror image across any plane."""
+
+    def __init__(self, rest: ClosedMesh):
+        from scipy.spatial import KDTree
+
+        axes = mirror_axes(rest.vertices)
+        if not axes:
+            raise InputError("regularize symmetry: the cage at rest is no mirror image of itself across x, y or z")
+        axis = "xyz".index(axes[0])
+        middle = 0.5 * float(bounds_of(rest.vertices)[:, axis].sum())
+        self._images = np.asarray(KDTree(rest.vertices).query(reflected(rest.vertices, axis, middle))[1])
+        pairs = np.stack(np.triu_indices(len(rest.vertices), 1), axis=1)
+        self._pairs = pairs[:: -(-len(pairs) // MAX_PAIRS)]
+        self._unit = rest.size**2
+
+    def __call__(self, vertices: np.ndarray) -> tuple[float, np.ndarray]:
+        """The energy, and its gradient (v, 3)."""
+        (a, b), (c, d) = self._pairs.T, self._images[self._pairs.T]
+        here, there = vertices[a] - vertices[b], vertices[c] - vertices[d]
+        off = ((here**2).sum(axis=1) - (there**2).sum(axis=1)) / self._unit
+        slope, gradient = 4 * off[:, None] / (len(off) * self._unit), np.zeros_like(vertices)
+        for corner, way in ((a, here), (b, -here), (c, -there), (d, there)):
+            np.add.at(gradient, corner, slope * way)
+        return float((off**2).mean()), gradient
+
+
 class Priors:
     """The sum of all priors of a fit, each by its weight."""
 
@@ -69,6 +103,7 @@ class Priors:
             checked_number(weight, f"regularize {name}", 0)
         self._weights = DEFAULT_WEIGHTS | dict(given)
         self._rest, self._start, self._rigidity = rest, start, Rigidity(rest)
+        self._asymmetry = Asymmetry(rest) if self._weights["symmetry"] else None
 
     def __call__(self, vertices: np.ndarray) -> tuple[float, np.ndarray]:
         """The weighted sum for a pose, and its gradient (v, 3)."""
@@ -77,6 +112,7 @@ class Priors:
         terms = {
             "rigid": lambda: self._rigidity(vertices),
             "volume": lambda: volume_change(self._rest, vertices),
+            "symmetry": lambda: self._asymmetry(vertices) if self._asymmetry else (0.0, 0.0),
             "start": lambda: ((moved**2).sum(axis=1).mean(), 2 * moved / (len(moved) * self._rest.size)),
         }
         for name, term in terms.items():

@@ -233,14 +233,44 @@ def differences(loss, numbers, h=1e-5):
     return np.array([(loss(numbers + change) - loss(numbers - change)) / (2 * h) for change in changes])
 
 
-@pytest.mark.parametrize("weights", [{"rigid": 1.0}, {"rigid": 0, "volume": 2.0}, {"rigid": 0, "start": 3.0}], ids=str)
+@pytest.mark.parametrize(
+    "weights",
+    [{"rigid": 1.0}, {"rigid": 0, "volume": 2.0}, {"rigid": 0, "symmetry": 2.0}, {"rigid": 0, "start": 3.0}],
+    ids=str,
+)
 def test_gradients_of_priors_are_differences(weights):
     priors = Priors(BOX, BOX.rotate(10).vertices, weights)
-    posed = BOX.bend(40, axis="x", towards="z").vertices
+    posed = BOX.bend(40, axis="x", towards="z").twist(15).vertices
     value, gradient = priors(posed)
     expected = differences(lambda numbers: priors(numbers.reshape(-1, 3))[0], posed.ravel())
     np.testing.assert_allclose(gradient.ravel(), expected, atol=1e-6 * max(1, np.abs(expected).max()))
     assert value > 1e-4 and priors(BOX.vertices)[0] < value
+
+
+def test_what_is_symmetric_in_any_place_is_free_of_the_prior_of_symmetry():
+    """One that bends in the mirror's plane is, one that bends out of it is not; nor has a skew cage a mirror."""
+    cage = Cage.box([-0.5, -0.3, -0.8], [0.5, 0.3, 0.8], segments=3)
+    free = cage.bend(40, axis="z", towards="y").rotate(30, axis="y").translate([1, 2, 3])  # x to -x
+    prior = Priors(cage, cage.vertices, {"rigid": 0, "symmetry": 1.0})
+    assert prior(free.vertices)[0] < 1e-12 < 1e-5 < prior(cage.bend(40, axis="z", towards="x").vertices)[0]
+    skew = cage.with_vertices(cage.vertices + [[0.1, 0.2, 0.3]] * (cage.vertices[:, :1] > 0.4))
+    refused(lambda: Priors(skew, skew.vertices, {"symmetry": 1.0}), "symmetry", "mirror image")
+
+
+def test_symmetry_finds_what_one_side_does_not_show():
+    """Points of one half of a symmetric pose give the other half."""
+    cage = Cage.box([-0.5, -0.3, -0.8], [0.5, 0.3, 0.8], segments=3)
+    pose = cage.bend(50, axis="z", towards="y")
+    points = np.random.default_rng(0).uniform([0.1, -0.2, -0.6], [0.4, 0.2, 0.6], (60, 3))
+    where = deform_points(points, cage, pose, "harmonic")
+    deformer = Deformer(ball_field("cpu"), cage, resolution=24)
+    off = {}
+    for weight in (0.0, 10.0):
+        targets = PoseTargets(points=points, positions=where)
+        found = fit_pose(deformer, targets, regularize={"rigid": 0.05, "symmetry": weight}).cage
+        other = cage.vertices[:, 0] < -0.1
+        off[weight] = np.sqrt(((found.vertices - pose.vertices)[other] ** 2).sum(axis=1).mean()) / cage.size
+    assert off[10.0] < 0.5 * off[0.0] and off[10.0] < 0.05
 
 
 def test_rigid_poses_are_free_of_the_prior():
