@@ -48,6 +48,10 @@ SCENE_OPTIONS = (
     option("--quality", default="standard", help="quality of the fits of the fields"),
 )
 
+#: The same for a quick run.
+SMALL = {"device": "cpu", "scenes": ["animal"], "size": 48, "train_views": 30, "samples": 2, "resolution": 24}
+SMALL |= {"edge": 0.15, "cuts": 1, "quality": "fast"}
+
 
 @command(
     DEVICE,
@@ -72,9 +76,7 @@ def known(args) -> None:
     of the cage's size; "start" the same of the start; "worst" the largest distance. A pose counts as found below 1 %.
     """
     if args.quick:
-        args.device, args.size, args.train_views, args.samples = "cpu", 48, 30, 2
-        args.scenes, args.poses, args.resolution = ["animal"], ["bend"], 24
-        args.edge, args.cuts, args.quality = 0.15, 1, "fast"
+        vars(args).update(SMALL, poses=["bend"])
     args.test_views = 8
     device = quiet_device(args.device)
     rows, lines = [], []
@@ -139,9 +141,7 @@ def followed(args) -> None:
     Each frame is 8 ray cast pictures of the model, bent by up to 45 degrees and back; fits begin with the pose before.
     """
     if args.quick:
-        args.device, args.size, args.train_views, args.samples = "cpu", 48, 30, 2
-        args.scenes, args.frames, args.resolution = ["animal"], 3, 24
-        args.edge, args.cuts, args.quality = 0.15, 1, "fast"
+        vars(args).update(SMALL, frames=3)
     args.test_views = 8
     device, rows = quiet_device(args.device), []
     for name in args.scenes:

@@ -95,7 +95,7 @@ def voxel_gradient(
     scene = _plain_scene(deformer)
     field = deformer.field
     views = [FieldView(field, camera, options) for camera in cameras]
-    view = max(views, key=lambda view: view.step)  # steps differ where a camera is very far away
+    view = views[0]  # all have its step, threads and colour
     if view.side != 1:
         raise InputError(f"a gradient is of frames with one ray a pixel, the field's supersampling is {view.side}")
     if view.layers is not None:

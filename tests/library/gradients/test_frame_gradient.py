@@ -5,12 +5,15 @@ import dataclasses
 import field_oracles as oracle
 import numpy as np
 import pytest
+import warp as wp
 from fields import BOX, ellipsoid, make_field, shiny, shiny_field, surrounded_ball, view
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from warpcage import Cage, CageEdit, Camera, Deformer, SurfaceMesh, VoxelField, deform_points, turntable
+from warpcage.field.render import RenderOptions
 from warpcage.gradients import frame_gradient
+from warpcage.gradients.frame import voxel_gradient
 
 BACKGROUND = (0.3, 0.6, 0.1)
 EYE = (3.0, 1.2, 0.8)
@@ -279,6 +282,23 @@ def test_derivatives_may_be_arrays_of_the_device(device):
     arrays = frame.arrays
     found = frame_gradient(deformer, camera, arrays["rgb"], alpha_gradient=arrays["alpha"])
     np.testing.assert_allclose(found.nodes.numpy(), expected.nodes.numpy(), atol=1e-5)
+
+
+def test_the_gradient_of_several_views_is_the_sum(device):
+    """Pictures of no whole tiles, of which one camera sees nothing."""
+    deformer = Deformer(shiny_field(device), BOX, resolution=16).pose(BOX.twist(30))
+    seen = [small_camera(eye, (19, 13)) for eye in (EYE, (-2.0, 1.5, 1.0), (0.5, -3.0, 0.4))]
+    seen.insert(1, Camera.look_at((9, 9, 9), (20, 20, 20), width=19, height=13, fov_degrees=40))
+    slopes = np.random.default_rng(4).normal(size=(4, 13, 19, 3)).astype(np.float32)
+    alone = [
+        frame_gradient(deformer, camera, each, background="white") for camera, each in zip(seen, slopes, strict=True)
+    ]
+    given = {"rgb": wp.array(slopes.reshape(-1, 3), dtype=wp.vec3, device=device)}
+    with deformer.lock:
+        found = voxel_gradient(deformer, seen, given, RenderOptions(background="white")).nodes.numpy()
+    expected = np.sum([each.nodes.numpy() for each in alone], axis=0)
+    assert np.abs(alone[1].nodes.numpy()).max() == 0.0 < np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
 
 
 def test_what_has_no_gradient_yet_is_refused(device):

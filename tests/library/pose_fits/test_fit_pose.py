@@ -124,7 +124,7 @@ def test_a_bend_is_found_in_ray_cast_pictures(chair):
     mesh, cage, field = chair
     truth = cage.bend(25, axis="z", towards="y").rotate(20, axis="z")
     posed = InverseMap(cage, truth, "mean_value", device="cpu").invert(mesh.vertices)
-    views = around(*cage.bounds, 5)
+    views = around(*cage.bounds, 8)
     targets = pictures(mesh, views, posed=posed.points, view_matrices=posed.jacobians)
     deformer = Deformer(field, cage, coordinates="mean_value", resolution=20)
     found = fit_pose(deformer, targets, restarts=4)
@@ -134,7 +134,7 @@ def test_a_bend_is_found_in_ray_cast_pictures(chair):
         points = InverseMap(cage, pose, "mean_value", device="cpu").invert(mesh.vertices).points
         return np.sqrt(((points - posed.points) ** 2).sum(axis=1).mean()) / cage.size
 
-    assert off(cage) > 0.06 and off(found.cage) < 0.015  # of pictures of 40 pixels; benchmarks have larger ones
+    assert off(cage) > 0.06 and off(found.cage) < 0.01
     assert {step.parameters for step in found.history} == {"start", "rigid", "affine", "handles", "vertices"}
 
 
@@ -317,12 +317,12 @@ def test_gradients_of_pictures_are_differences(device):
     gradient = loss(deformer.pose(BOX.vertices))[1]
     changes = np.einsum("vk,ki->kvi", smooth_basis(BOX, 4), np.random.default_rng(1).normal(size=(4, 3)))
     found = [(gradient * change).sum() for change in changes]
+    steps = (2.5e-4, 5e-4)  # depths come and go at rims: larger steps cross more of them
     expected = [
-        np.mean([(value(BOX.vertices + h * change) - value(BOX.vertices - h * change)) / (2 * h) for h in (5e-4, 1e-3)])
+        np.mean([(value(BOX.vertices + h * change) - value(BOX.vertices - h * change)) / (2 * h) for h in steps])
         for change in changes
     ]
-    # depths come and go at rims: differences of nearby steps are 3 % apart
-    assert np.linalg.norm(np.subtract(found, expected)) < 0.06 * np.linalg.norm(expected)
+    assert np.linalg.norm(np.subtract(found, expected)) < 0.03 * np.linalg.norm(expected)
 
 
 def test_smaller_pictures_are_means():
