@@ -171,7 +171,7 @@ def whole_warps(rows: int, device: wp.Device) -> int:
     return rows if device.is_cpu else -(-rows // WARP_LANES) * WARP_LANES
 
 
-def row_table(grid: Any, table: ColumnTable) -> Any:
+def row_table(grid: Any, table: ColumnTable, *, with_colors: bool = True) -> Any:
     """The rows of a grid as a march reads them: a RowTable of the values that the grid has now."""
     device, rows = wp.get_device(table.nodes.device), table.nodes.shape[0]
     result = RowTable()
@@ -180,6 +180,7 @@ def row_table(grid: Any, table: ColumnTable) -> Any:
         result.laid = table.laid_densities()
         inputs = [grid.density, table.columns.order, table.nodes, 1.0 / result.unit]
         launch(lay_densities, rows, inputs, [result.laid], device=device)
+    if not device.is_cpu and with_colors:
         result.packed = table.packed_rows()
         launch(pack_rows, whole_warps(rows, device), [grid, table.columns], [result.packed], device=device)
     return result
@@ -273,6 +274,10 @@ class MarchTables:
     def rows(self) -> Any:
         """The rows as they are now: a RowTable of kernels/field/rows.py."""
         return row_table(self._grid, self.columns)
+
+    def densities(self) -> Any:
+        """The same without colours."""
+        return row_table(self._grid, self.columns, with_colors=False)
 
     def render(self, view: FieldView) -> Frame:
         """The frame of a view of the grid."""

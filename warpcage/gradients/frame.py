@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from ..core.arrays import array_view
+from ..core.arrays import array_view, empty_array
 from ..core.checks import require_type
 from ..core.devices import launch
 from ..deform.deformer import Deformer
@@ -19,7 +19,8 @@ from ..field.render import STOP_TRANSMITTANCE, FieldView, RenderOptions
 from ..field.voxel_field import VoxelField
 from ..fitting.batches import ShardedWork, launch_shards, shard_count, sum_shards
 from ..kernels.fitting.cameras import CAMERA_NUMBERS
-from ..kernels.gradients.frame import FrameLoss, FrameSlopes, accumulate_frame_gradient
+from ..kernels.gradients.frame import FrameSlopes, accumulate_frame_gradient, sum_samples, weigh_samples
+from ..kernels.gradients.frame_samples import MAX_KEPT, FrameLoss, FrameRays, RaySamples, find_largest, keep_samples
 from ..kernels.render.rays import MarchOptions
 from ..kernels.view.rays import TILE_SIZE
 from ..render.scene import PosedScene
@@ -27,6 +28,12 @@ from ..splats.splat_field import SplatField
 from ..view.camera import Camera, camera_array
 from .loss import FrameGradient, column_sums, frame_loss
 from .splats import splat_gradient
+
+#: Rays whose samples are held at a time, whole tiles: 512 bytes each.
+BATCH_RAYS = {"cpu": 2**14, "cuda": 2**18}
+
+#: Steps of a march, for launches on a CPU.
+MARCH_WORK = 200
 
 
 def frame_gradient(
@@ -110,10 +117,11 @@ def voxel_gradient(
     edit, march = scene.tables.edits[0], MarchOptions()
     march.step, march.inverse_step, march.stop = view.step, 1.0 / view.step, STOP_TRANSMITTANCE
     march.arc_opacity = int(deformer.density == "opacity")
+    rays = FrameRays()
+    rays.cameras = camera_array(cameras, field.center, field.device)
+    rays.view_rays, rays.background, rays.loss = view.threads, wp.vec3(*map(float, view.color)), loss
     sums = _Sums(tuple(edit.node_counts), stored if by_field else None, view if by_camera else None, field.device)
-    placed = camera_array(cameras, field.center, field.device)
-    inputs = [grid, field.marching.columns.columns, edit, placed, view.threads]
-    sums.add(len(views) * view.threads, [*inputs, wp.vec3(*map(float, view.color)), march, loss])
+    sums.add(len(views) * view.threads, [grid, field.marching.densities(), edit, rays, march])
     found = sums.gradient()
     if by_vertices:
         position_map = scene.lattices.maps[0]
@@ -138,21 +146,52 @@ class _Sums:
 
     def __init__(self, shape: tuple[int, ...], stored: Any, view: FieldView | None, device: wp.Device):
         self._device, self._shape, self._stored = device, shape, stored
-        self._sizes = [3 * math.prod(shape)]  # of numbers: of nodes, densities and harmonics
-        self._sizes += [] if stored is None else [stored.density.size, stored.sh.size]
+        self._sizes = [3 * math.prod(shape)]  # of numbers: of nodes, harmonics and densities
+        self._sizes += [] if stored is None else [stored.sh.size, stored.density.size]
         self._blocks = [wp.zeros(sum(self._sizes), dtype=wp.float32, device=device) for _ in range(shard_count(device))]
         rays = 0 if view is None else view.camera.width * view.camera.height
         self._rays = wp.zeros((rays, int(CAMERA_NUMBERS)), dtype=wp.float32, device=device)
 
-    def add(self, rays: int, inputs: list[Any]) -> None:
-        """Launch the march of whole tiles of rays."""
-        if not self._device.is_cpu:
-            launch(accumulate_frame_gradient, rays, inputs, [self._slopes(0)], device=self._device)
+    def add(self, count: int, inputs: list[Any]) -> None:
+        """Add what whole tiles of rays pass on; inputs: the field's grid and rows, edit, FrameRays and options."""
+        most = BATCH_RAYS["cpu" if self._device.is_cpu else "cuda"]
+        for begin in range(0, count, most):
+            inputs[3].begin = begin
+            self._add_batch(min(most, count - begin), inputs)
+
+    def _add_batch(self, count: int, inputs: list[Any]) -> None:
+        device, samples = self._device, RaySamples()
+        samples.kept = empty_array((int(MAX_KEPT), count), wp.vec4, device)
+        samples.counts, samples.ends = empty_array(count, wp.int32, device), empty_array(count, wp.vec4, device)
+
+        def keep(back: int) -> None:
+            launch(keep_samples, count, [*inputs, back], [samples], device=device, work=MARCH_WORK)
+
+        keep(0)
+        self._spread([*inputs, 0, samples])
+        largest: wp.array = wp.zeros(1, dtype=wp.int32, device=device)
+        launch(find_largest, count, [samples.counts], [largest], device=device, threads=1)
+        runs = -(-int(largest.numpy()[0]) // int(MAX_KEPT))  # read behind all that most rays need
+        if runs > 1:
+            samples.begins = empty_array((runs, count), wp.vec4, device)
+            keep(-1)
+        for back in range(1, runs):
+            keep(back)
+            self._spread([*inputs, back, samples])
+
+    def _spread(self, inputs: list[Any]) -> None:
+        """Add what the samples of a table pass on."""
+        device, back, samples = self._device, *inputs[-2:]
+        rays = samples.counts.size
+        if device.is_cpu:  # a thread goes through rays that are its own
+            outputs = [[self._slopes(shard)] for shard in range(len(self._blocks))]
+            work = ShardedWork(accumulate_frame_gradient, rays // TILE_SIZE, [1, *inputs], outputs, items=TILE_SIZE)
+            launch_shards([work], len(self._blocks), device)
             return
-        outputs = [[self._slopes(shard)] for shard in range(len(self._blocks))]
-        tiles = rays // TILE_SIZE
-        work = ShardedWork(accumulate_frame_gradient, tiles, inputs, outputs, items=TILE_SIZE)
-        launch_shards([work], len(self._blocks), self._device)
+        slots = int(MAX_KEPT)
+        launch(weigh_samples, slots * rays, inputs, device=device)
+        launch(sum_samples, rays, [back, samples], device=device)
+        launch(accumulate_frame_gradient, slots * rays, [slots, *inputs], [self._slopes(0)], device=device)
 
     def gradient(self) -> FrameGradient:
         """All that was added."""
@@ -161,14 +200,14 @@ class _Sums:
         camera = None
         if self._rays.shape[0]:
             camera = column_sums(self._rays)
-        names = dict(zip(("density", "harmonics"), of_field, strict=False))
+        names = dict(zip(("harmonics", "density"), of_field, strict=False))
         return FrameGradient(nodes.reshape(self._shape), camera=camera, **names)
 
     def _parts(self, number: int) -> list[wp.array]:
-        """Gradients of a block: by nodes (nodes,) vec3, densities (rows,) and harmonics (rows, n)."""
+        """Gradients of a block: by nodes (nodes,) vec3, harmonics (rows, n) and densities (rows,)."""
         block, starts = self._blocks[number], [4 * start for start in itertools.accumulate(self._sizes, initial=0)]
         parts = [array_view(block, wp.vec3, math.prod(self._shape))]
-        for start, name in zip(starts[1:], ("density", "sh"), strict=False):
+        for start, name in zip(starts[1:], ("sh", "density"), strict=False):
             if self._stored is not None:
                 parts.append(array_view(block, wp.float32, getattr(self._stored, name).shape, offset=start))
         return parts
@@ -176,7 +215,7 @@ class _Sums:
     def _slopes(self, number: int) -> Any:
         """The FrameSlopes of a block."""
         slopes = FrameSlopes()
-        for name, part in zip(("nodes", "density", "harmonics"), self._parts(number), strict=False):
+        for name, part in zip(("nodes", "harmonics", "density"), self._parts(number), strict=False):
             setattr(slopes, name, part)
         if self._rays.shape[0]:
             slopes.rays = self._rays
