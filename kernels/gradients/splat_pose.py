@@ -9,7 +9,6 @@ import warp as wp
 
 from ..core.lanes import lane_place, sum_of_lanes
 from ..field.harmonics import sh_basis
-from ..fitting.cameras import CAMERA_NUMBERS
 from ..splats.composite import DEPTH_MIN_ALPHA
 from ..splats.fit import quaternion_slope, splat_axes
 from ..splats.packed_rows import PackedRows
@@ -108,17 +107,13 @@ def propagate_pose(
     values: SplatValues,
 ):
     """splats (n,): as posed; view, sums (9 n,), depth_sums (3 n,) or (0,): of their picture. rays (n, 7) or (0,): by
-    the camera. values of rows of the file are added to: CPU threads share them. Empty log_scales: none are."""
+    the camera. Slopes and rays are added to, values by rows of the file, which CPU threads share; none of these where
+    log_scales are empty."""
     n = first + wp.tid()
-    slopes.positions[n] = wp.vec3()
-    slopes.jacobians[n] = wp.mat33()
     depths = wp.vec3()
     if depth_sums.shape[0] > 0:
         depths = wp.vec3(depth_sums[3 * n], depth_sums[3 * n + 1], depth_sums[3 * n + 2])
     seen = view_slopes(splats, n, lens, view, sums, depths)
-    if rays.shape[0] > 0:
-        for number in range(CAMERA_NUMBERS):
-            rays[n, number] = 0.0
     if seen.is_seen == 0:
         return
     jacobian = carried.jacobians[n]
@@ -135,16 +130,16 @@ def propagate_pose(
         square = wp.ddot(jacobian, jacobian)  # 3 |J|^2
         by_jacobian -= (by_opacity * left * wp.log(left) / wp.max(square, 1.0e-30)) * jacobian
     by_center = seen.center + seen.by_color
-    slopes.positions[n] = by_center
-    slopes.jacobians[n] = by_jacobian
+    slopes.positions[n] = slopes.positions[n] + by_center
+    slopes.jacobians[n] = slopes.jacobians[n] + by_jacobian
     if rays.shape[0] > 0:
         # a camera that turns sees what it saw of splats that turn the other way, but for their colors
         turn = wp.cross(seen.offset, seen.center) + axial(2.0 * by_covariance * covariance_of(splats.covariances, n))
         for axis in range(3):
             along = wp.vec3(lens.camera.rotation[0, axis], lens.camera.rotation[1, axis], lens.camera.rotation[2, axis])
-            rays[n, axis] = -wp.dot(turn, along)
-            rays[n, 3 + axis] = -wp.dot(by_center, along)
-        rays[n, 6] = seen.focal
+            rays[n, axis] = rays[n, axis] - wp.dot(turn, along)
+            rays[n, 3 + axis] = rays[n, 3 + axis] - wp.dot(by_center, along)
+        rays[n, 6] = rays[n, 6] + seen.focal
     if log_scales.shape[0] > 0:
         row = harmonics_row(splats, n)
         logs = log_scales[row]

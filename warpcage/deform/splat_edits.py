@@ -214,6 +214,7 @@ class SplatEdits:
         self.bound = [BoundEdit(edit, self, index, progress) for index, edit in enumerate(edits)]
         self._posed = self._empty_splats(count)
         self.posed: Any = None  # the Splats of the last pose
+        self.backward: Any = None  # what gradients keep between calls
 
     def _cut(self, edits: list[CageEdit]) -> None:
         """The tree of pieces, and which share of each node is in each cage, and where the map is taken for it."""

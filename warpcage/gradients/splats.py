@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,25 +16,54 @@ from ..errors import InputError
 from ..field.render import RenderOptions
 from ..kernels.fitting.cameras import CAMERA_NUMBERS
 from ..kernels.gradients.splat_pose import CarriedSlopes, propagate_pose, weigh_pixels
-from ..kernels.splats.project_slopes import SplatValues
-from ..splats.fit import VALUE_TYPES, SplatGradients, SplatParameters
+from ..splats.fit import VALUE_TYPES, SplatGradients, as_values, value_slopes
 from ..splats.render import IMAGE_BLUR, PROJECT_WORK, splat_lens
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from .loss import FrameGradient, column_sums
 
 
+class SplatBackward:
+    """What gradients of a Deformer's splats keep between calls."""
+
+    def __init__(self, field: SplatField):
+        self.renderer = SplatGradients(field.device)
+        self._field = field
+        self._shapes: list[wp.array] = []
+
+    @property
+    def shapes(self) -> list[wp.array]:
+        """Logarithms of the scales (n,) vec3 and quaternions (n,) vec4 at rest."""
+        if not self._shapes:
+            held = self._field.contents
+            self._shapes = [
+                wp.array(
+                    np.asarray(getattr(held, name), np.float32), dtype=VALUE_TYPES[name], device=self._field.device
+                )
+                for name in ("log_scales", "quaternions")
+            ]
+        return self._shapes
+
+
 def splat_gradient(
+    deformer: Deformer[SplatField], camera: Camera, loss: dict[str, wp.array], background: Any, **wanted: bool
+) -> FrameGradient:
+    """See `frame_gradient`; loss: of `frame_loss`."""
+    return views_gradient(deformer, [camera], loss, background, **wanted)
+
+
+def views_gradient(
     deformer: Deformer[SplatField],
-    camera: Camera,
-    loss: dict[str, wp.array],  # of `frame_loss`
+    cameras: Sequence[Camera],
+    loss: dict[str, wp.array],
     background: Any,
     *,
-    by_vertices: bool,
-    by_camera: bool,
-    by_field: bool,
+    by_vertices: bool = False,
+    by_camera: bool = False,
+    by_field: bool = False,
 ) -> FrameGradient:
-    """See `frame_gradient`."""
+    """The sum of the gradients of frames of one size; loss: (views * h * w,) by their parts, view after view.
+    `by_camera` is for one. See `frame_gradient`."""
     field, device = deformer.field, deformer.device
     edits: Any = deformer.posed_edits()
     assert isinstance(edits, SplatEdits) and deformer.deformed is not None
@@ -49,23 +79,38 @@ def splat_gradient(
                 "by_field is of splats that a pose draws whole, some are drawn in pieces here: give a field of smaller "
                 "splats, or a pose that bends them less"
             )
-        lens = splat_lens(camera, field.center, field.near, IMAGE_BLUR, field.antialias)
+        if edits.backward is None:
+            edits.backward = SplatBackward(field)
+        backward: SplatBackward = edits.backward
+        renderer = backward.renderer
         color = RenderOptions(background=background).color(np.asarray(field.background, np.float32))
-        renderer = SplatGradients(device)
-        drawn = renderer.draw_splats(splats, camera, lens, wp.vec3(*map(float, color)), "depth" in loss)
-        sums = _picture_sums(renderer, loss, *drawn)
-        count = splats.centers.size
+        count, pixels = splats.centers.size, cameras[0].width * cameras[0].height
         carried = CarriedSlopes()
-        carried.positions, carried.jacobians = empty_array(count, wp.vec3, device), empty_array(count, wp.mat33, device)
-        rays = empty_array((count if by_camera else 0, int(CAMERA_NUMBERS)), wp.float32, device)
-        parameters = SplatParameters(field) if by_field else None
-        inputs = [edits.law, splats, lens, renderer.view, *sums, edits.covariances, edits.opacities, edits.carried]
-        for name in ("log_scales", "quaternions"):
-            none = empty_array(0, VALUE_TYPES[name], device)
-            inputs.append(none if parameters is None else parameters.by_rows(name, parameters.values))
-        outputs = [carried, rays, SplatValues() if parameters is None else parameters.value_slopes]
+        carried.positions = wp.zeros(count, dtype=wp.vec3, device=device)
+        carried.jacobians = wp.zeros(count, dtype=wp.mat33, device=device)
+        rays = wp.zeros((count if by_camera else 0, int(CAMERA_NUMBERS)), dtype=wp.float32, device=device)
+        slopes = value_slopes(field) if by_field else {}
+        none = [empty_array(0, VALUE_TYPES[name], device) for name in ("log_scales", "quaternions")]
+        shapes, by_values = (backward.shapes if by_field else none), as_values(slopes)
         threads = 1 if by_field else None  # rows of the file are shared
-        launch(propagate_pose, count, inputs, outputs, device=device, threads=threads, work=4 * PROJECT_WORK)
+        for number, camera in enumerate(cameras):
+            seen: dict[str, Any] = {
+                name: array[number * pixels : (number + 1) * pixels] for name, array in loss.items()
+            }
+            lens = splat_lens(camera, field.center, field.near, IMAGE_BLUR, field.antialias)
+            drawn = renderer.draw_splats(splats, camera, lens, wp.vec3(*map(float, color)), "depth" in loss)
+            sums = _picture_sums(renderer, seen, *drawn)
+            inputs = [edits.law, splats, lens, renderer.view, *sums, edits.covariances, edits.opacities, edits.carried]
+            outputs = [carried, rays, by_values]
+            launch(
+                propagate_pose,
+                count,
+                [*inputs, *shapes],
+                outputs,
+                device=device,
+                threads=threads,
+                work=4 * PROJECT_WORK,
+            )
         found: dict[str, Any] = {}
         if by_vertices:
             bound = edits.bound[0]
@@ -73,8 +118,8 @@ def splat_gradient(
             found["vertices"] = bound.binding.vertex_gradient(cage, members, others, offsets, carried)
         if by_camera:
             found["camera"] = column_sums(rays)
-        if parameters is not None:
-            found |= parameters.slopes | {"logits": parameters.slopes["logits"].flatten()}
+        if by_field:
+            found |= slopes | {"logits": slopes["logits"].flatten()}
         return FrameGradient(**found)
     finally:
         if at_rest:

@@ -55,6 +55,27 @@ VALUE_TYPES = {
 }
 
 
+def value_slopes(field: SplatField) -> dict[str, wp.array]:
+    """(n, width) float32 zeros for the derivatives of a loss by each of a field's values."""
+    held, count = field.contents, len(field)
+    widths = {name: np.asarray(getattr(held, name)).size // max(count, 1) for name in VALUE_TYPES}
+    return {name: wp.zeros((count, width), dtype=wp.float32, device=field.device) for name, width in widths.items()}
+
+
+def by_rows(name: str, arrays: dict[str, wp.array]) -> wp.array:
+    """An array of values or slopes as kernels read it: (n,) of VALUE_TYPES' type, for harmonics (n, width)."""
+    array = arrays[name]
+    return array if name == "harmonics" else array_view(array, VALUE_TYPES[name], array.shape[0])
+
+
+def as_values(slopes: dict[str, wp.array]) -> Any:
+    """Slopes as kernels/splats/project_slopes.py writes them; an empty dict for none."""
+    values = SplatValues()
+    for name in slopes:
+        setattr(values, name, by_rows(name, slopes))
+    return values
+
+
 class SplatParameters:
     """Values of a field's splats that change, on its device; the field itself is left as it is."""
 
@@ -64,31 +85,23 @@ class SplatParameters:
         host["centers"] = host["centers"] - field.center
         self._first_centers = host["centers"].astype(np.float32)
         self.values: dict[str, wp.array] = {}  # (n, width) float32 each, centres relative to the field's `center`
-        self.slopes: dict[str, wp.array] = {}  # derivatives of a loss by each of them
+        self.slopes = value_slopes(field)  # derivatives of a loss by each of them
         for name, values in host.items():
-            rows = np.ascontiguousarray(values.reshape(count, values.size // max(count, 1)), np.float32)
+            rows = np.ascontiguousarray(values.reshape(self.slopes[name].shape), np.float32)
             self.values[name] = wp.array(rows, dtype=wp.float32, device=field.device)
-            self.slopes[name] = wp.zeros(rows.shape, dtype=wp.float32, device=field.device)
         self.splats: Any = Splats()  # What `refresh` makes of the values.
-        self.splats.centers = self.by_rows("centers", self.values)
+        self.splats.centers = by_rows("centers", self.values)
         self.splats.covariances = empty_array((count, 6), wp.float32, field.device)
         self.splats.opacities = empty_array(count, wp.float32, field.device)
         self.splats.harmonics, self.splats.degree = self.values["harmonics"], field.degree
         self.splats.turns = empty_array(0, wp.quat, field.device)
         self.splats.rows = empty_array(0, wp.int32, field.device)
-        self.value_slopes: Any = SplatValues()  # The slopes as kernels/splats/project_slopes.py writes them.
-        for name in VALUE_TYPES:
-            setattr(self.value_slopes, name, self.by_rows(name, self.slopes))
-
-    def by_rows(self, name: str, arrays: dict[str, wp.array]) -> wp.array:
-        """An array of `values` or `slopes` as kernels read it: (n,) of VALUE_TYPES' type, for harmonics (n, width)."""
-        array = arrays[name]
-        return array if name == "harmonics" else array_view(array, VALUE_TYPES[name], array.shape[0])
+        self.value_slopes = as_values(self.slopes)
 
     def refresh(self) -> None:
         """Make the covariances and opacities of `splats` from the values as they are now."""
         names = ("log_scales", "quaternions", "logits")
-        inputs = [self.by_rows(name, self.values) for name in names]
+        inputs = [by_rows(name, self.values) for name in names]
         launch(fit.make_splats, len(self.field), inputs, [self.splats], device=self.field.device)
 
     def to_field(self, antialias: bool) -> SplatField:
@@ -154,7 +167,7 @@ class SplatGradients(SplatRenderer):
         """Set the slopes of the parameters drawn last, from those (h * w,) vec3 of a loss by the picture's colours."""
         parameters, sums = self._parameters, self.sum_slopes(slopes)
         count, view = self._drawn[1][:2]
-        held = [parameters.by_rows(name, parameters.values) for name in ("log_scales", "quaternions")]
+        held = [by_rows(name, parameters.values) for name in ("log_scales", "quaternions")]
         inputs = [parameters.splats, self._lens, *held, view, sums]
         outputs = [parameters.value_slopes]
         kernel = project_slopes.find_value_slopes
