@@ -33,6 +33,7 @@ from warpcage.interop import canonical_points_vjp
 from warpcage.kernels.coordinates.green import map_green
 from warpcage.lattice import HarmonicSolver, PoseGraph
 from warpcage.mesh import prepared_fans
+from warpcage.pose_fits.targets import PictureLoss as PoseLoss
 from warpcage.splats import SplatDensity
 from warpcage.studio.editor import frame_pixels
 from warpcage.view import RGB_BYTES
@@ -218,6 +219,9 @@ def frames(device) -> None:
     warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE).render(camera(), supersampling=2)
     deformer = warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE)
     frame_gradient(deformer, camera(), np.ones((16, 16, 3)), by_camera=True, by_field=True)
+    shown = warpcage.PoseTargets([camera()], images=np.ones((1, 16, 16, 3)), depths=np.full((1, 16, 16), 3.0))
+    for blur in (0.0, 1.0):
+        PoseLoss(shown, 16, blur, CAGE.size, wp.get_device(device))(deformer)
     given = [wp.array(each, dtype=wp.vec3, device=device) for each in (POINTS, np.ones((64, 3)))]
     region = deformer.to_canonical(*given)[2]
     canonical_points_vjp(deformer, *given, region, (given[0], given[1]), by_vertices=True)

@@ -58,9 +58,13 @@ def _reshaped(values: Any, shape: tuple[int, ...]) -> Any:
     return values.reshape(shape) if hasattr(values, "reshape") else np.asarray(values, np.float32).reshape(shape)
 
 
+def run_sums(rows: wp.array) -> wp.array:
+    """(m, k) sums of the columns of (n, k) float32 numbers on a device, each over RUN rows or less."""
+    sums = empty_array((-(-rows.shape[0] // RUN), rows.shape[1]), wp.float32, rows.device)
+    launch(sum_runs, sums.size, [rows, RUN], [sums], device=rows.device, work=RUN)
+    return sums
+
+
 def column_sums(rows: wp.array) -> np.ndarray:
     """(k,) float64 sums of the columns of (n, k) float32 numbers on a device."""
-    runs = -(-rows.shape[0] // RUN)
-    sums = empty_array((runs, rows.shape[1]), wp.float32, rows.device)
-    launch(sum_runs, sums.size, [rows, RUN], [sums], device=rows.device, work=RUN)
-    return sums.numpy().sum(axis=0, dtype=np.float64)
+    return run_sums(rows).numpy().sum(axis=0, dtype=np.float64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -152,17 +153,15 @@ def fit_pose(
             parameters, weights below 0, or a start that is no pose of the cage.
         Cancelled: Where `progress` returned False.
     """
-    require_type(deformer, Deformer, "fit_pose needs a Deformer,")
+    moved = deformer if isinstance(deformer, _Moved) else _Moved(deformer, "fit_pose")
     checked_whole(restarts, "restarts", 0)
     checked_whole(max_pixels, "max_pixels", 1)
     checked_flag(uncertainty, "uncertainty")
     checked_whole(seed, "seed", 0)
-    if len(deformer.edits) != 1 or deformer.edits[0].remove:
-        raise InputError("a pose is fitted for a deformer of one edit, which moves or copies")
-    rest = deformer.edits[0].cage
+    rest = moved.rest
     named = checked_parameters(parameters, len(rest.vertices))
     begin = rest.vertices if start is None else posed_cage(rest, start, "the start of a fit").vertices
-    fit = _Fit(deformer, PoseTargets.of(targets, cameras), Priors(rest, begin, regularize), max_pixels, progress)
+    fit = _Fit(moved, PoseTargets.of(targets, cameras), Priors(rest, begin, regularize), max_pixels, progress)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of what poses on the way do
         if restarts and not (isinstance(named, np.ndarray) or fit.pictures is None):
@@ -208,13 +207,13 @@ def fit_poses(
     when = np.arange(len(moments)) / DEFAULT_RATE if times is None else np.asarray(times, np.float64)
     if not moments or when.shape != (len(moments),) or not (np.diff(when) > 0).all():
         raise InputError(f"times of poses must increase, one for each of {len(moments)} moments")
-    require_type(deformer, Deformer, "fit_poses needs a Deformer,")
-    file, pose = PoseFile(deformer.edits[0].cage), start
+    moved: Any = _Moved(deformer, "fit_poses")
+    file, pose = PoseFile(moved.rest), start
     for number, moment in enumerate(moments):
         report_progress(progress, number, len(moments), "fit poses")
         with named_errors(f"moment {number}"):
             pose = fit_pose(
-                deformer, moment, cameras=cameras, start=pose, restarts=0 if number else restarts, **options
+                moved, moment, cameras=cameras, start=pose, restarts=0 if number else restarts, **options
             ).cage
         name = f"{number:04d}"
         file[name], file.times[name], file.easings[name] = pose, float(when[number]), "linear"
@@ -222,20 +221,34 @@ def fit_poses(
     return file
 
 
+class _Moved:
+    """The Deformer that fits move in place of a caller's, whose pose stays."""
+
+    def __init__(self, deformer: Deformer, name: str):
+        require_type(deformer, Deformer, f"{name} needs a Deformer,")
+        if len(deformer.edits) != 1 or deformer.edits[0].remove:
+            raise InputError("a pose is fitted for a deformer of one edit, which moves or copies")
+        resolution = None if deformer.resolution is None else min(deformer.resolution, MAX_CELLS)
+        options: dict[str, Any] = {"density": deformer.density, "map": deformer.map, "device": deformer.device}
+        self.deformer = Deformer(
+            deformer.field, deformer.edits, coordinates=deformer.coordinates, resolution=resolution, **options
+        )
+        self.rest = deformer.edits[0].cage
+
+    @functools.cached_property
+    def basis(self) -> np.ndarray:
+        """(v, v) all shapes of the cage, the smoothest first."""
+        return smooth_basis(self.rest)
+
+
 class _Fit:
     """A fit: its losses by poses, and what it found so far."""
 
-    def __init__(
-        self, deformer: Deformer, targets: PoseTargets, priors: Priors, max_pixels: int, progress: bool | Progress
-    ):
-        resolution = None if deformer.resolution is None else min(deformer.resolution, MAX_CELLS)
-        options: dict[str, Any] = {"density": deformer.density, "map": deformer.map, "device": deformer.device}
-        self._deformer = Deformer(
-            deformer.field, deformer.edits, coordinates=deformer.coordinates, resolution=resolution, **options
-        )
-        self._rest, self._targets, self._priors = deformer.edits[0].cage, targets, priors
+    def __init__(self, moved: _Moved, targets: PoseTargets, priors: Priors, max_pixels: int, progress: bool | Progress):
+        self._moved, self._deformer, self._rest = moved, moved.deformer, moved.rest
+        self._targets, self._priors = targets, priors
         self._largest = min(targets.pixel_size, max_pixels)
-        self._points = None if targets.points is None else PointLoss(targets, self._rest, deformer.device)
+        self._points = None if targets.points is None else PointLoss(targets, self._rest, self._deformer.device)
         self._history: list[PoseStep] = []
         self._progress, self._done = progress, 0
         self.pictures: PictureLoss | None = None
@@ -245,7 +258,8 @@ class _Fit:
         """Take pictures of this size."""
         if self._targets.has_pictures:
             size = max(round(level.share * self._largest), min(MIN_PIXELS, self._largest))
-            self.pictures = PictureLoss(self._targets, size, level.blur, self._rest.size)
+            if self.pictures is None or (self.pictures.size, self.pictures.blur) != (size, level.blur):
+                self.pictures = PictureLoss(self._targets, size, level.blur, self._rest.size, self._deformer.device)
 
     def _loss(self, vertices: np.ndarray, *, with_gradient: bool = True) -> tuple[float, np.ndarray]:
         """Loss of a pose without priors, and its gradient (v, 3)."""
@@ -300,7 +314,7 @@ class _Fit:
             return LinearMotion(vertices, affine_basis(vertices, self._rest.size))
         if name == "basis":
             return LinearMotion(vertices, parameters)
-        return LinearMotion(vertices, smooth_basis(self._rest, HANDLES if name == "handles" else None))
+        return LinearMotion(vertices, self._moved.basis[:, : HANDLES if name == "handles" else None])
 
     def _minimize(
         self, motion: Motion, start: np.ndarray, evaluations: int, name: str = "start"
@@ -340,7 +354,7 @@ class _Fit:
         # curvature, times the variance of what is left; blurred pixels count as often as they are independent.
         level = COARSE["handles"]
         self._at(level)
-        basis, step = smooth_basis(self._rest, HANDLES), DIFFERENCE * self._rest.size
+        basis, step = self._moved.basis[:, :HANDLES], DIFFERENCE * self._rest.size
         basis = basis / np.abs(basis).max(axis=0)
         count = 3 * basis.shape[1]
         before, (_, prior_before) = self._differences(vertices), self._priors(vertices)

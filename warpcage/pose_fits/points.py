@@ -10,7 +10,7 @@ import numpy as np
 from ..coordinates.coordinates import deform_points, mean_value_coordinates
 from ..mesh.mesh import ClosedMesh
 from ..splats.splat_field import SplatField
-from .targets import PoseTargets, robust
+from .targets import PoseTargets
 
 #: Weight of their squares beside those of colours.
 WEIGHT = 20.0
@@ -52,7 +52,7 @@ class PointLoss:
         """The loss of a pose, and its gradient (v, 3)."""
         loss, by_places = 0.0, np.zeros_like(self.points)
         for off, back in self._off(vertices):
-            value, slope = robust(off, ROBUST, np.ones_like(off))
+            value, slope = robust(off, ROBUST)
             loss, by_places = loss + value, by_places + back(slope)
         scale = WEIGHT / max(self._count, 1)
         return scale * loss, scale / self._size * (self._shares.T @ by_places)
@@ -108,3 +108,9 @@ def positions_of(deformer: Any, points: np.ndarray, guess: np.ndarray) -> np.nda
     lost = best > CLOSE * size
     found[lost] = guess[lost]
     return found
+
+
+def robust(difference: np.ndarray, scale: float) -> tuple[float, np.ndarray]:
+    """Sum of squares that grow linearly above a scale (pseudo-Huber), and its derivatives."""
+    root = np.sqrt(1 + (difference / scale) ** 2)
+    return float((2 * scale**2 * (root - 1)).sum()), 2 * difference / root

@@ -10,23 +10,25 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ..core.arrays import array_view, empty_array
 from ..core.checks import real_array
+from ..core.devices import SpareMemory, launch
 from ..errors import InputError
-from ..field.render import RenderOptions
+from ..field.render import RenderOptions, picture_arrays
 from ..field.voxel_field import VoxelField
-from ..gradients.frame import frame_gradient, voxel_gradient
+from ..gradients.frame import voxel_gradient
+from ..gradients.loss import column_sums, run_sums
+from ..gradients.splats import views_gradient
+from ..kernels.gradients.differences import Comparison, Pixels, blur_lines, weigh_differences
 from ..scene.scene import Scene
 from ..view.camera import Camera
-from ..view.frame import parse_background, part_type
-
-#: Weights of squares of opacities, and of depths as shares of the cage's size, beside those of colours.
-ALPHA, DEPTH = 0.5, 20.0
+from ..view.frame import PART_NAMES, parse_background, part_type
 
 #: Pixels that differ by more from the background show the object, where pictures have no opacity.
 SHOWN = 0.06
 
-#: Differences of colours and opacities, and of depths as shares of the cage's size, above which they count linearly.
-ROBUST, ROBUST_DEPTH = 0.15, 0.03
+#: Bytes of a pixel of frames with their masks, of their differences and slopes.
+FRAME_BYTES = 128
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -165,6 +167,8 @@ class PoseTargets:
 def _averaged(pictures: np.ndarray, height: int, width: int) -> np.ndarray:
     """Pictures (n, h, w, ...) of another size, each pixel the mean of what it covers."""
     for axis, size in ((1, height), (2, width)):
+        if pictures.shape[axis] == size:
+            continue
         shares = _shares(pictures.shape[axis], size)
         pictures = np.moveaxis(np.tensordot(shares, pictures, (1, axis)), 0, axis)
     return pictures.astype(np.float32)
@@ -179,146 +183,160 @@ def _shares(before: int, after: int) -> np.ndarray:
 
 
 class PictureLoss:
-    """Frames of a posed Deformer beside pictures of one size: a loss, about the mean square of the object's pixels."""
+    """Frames of a posed Deformer beside pictures of one size: a loss, about the mean square of the object's pixels.
+    Frames, differences and slopes by them stay on the device."""
 
-    def __init__(self, targets: PoseTargets, size: int, blur: float, unit: float):
+    def __init__(self, targets: PoseTargets, size: int, blur: float, unit: float, device: wp.Device):
         first = targets.cameras[0]
         share = min(size / targets.pixel_size, 1.0)
-        width, height = (max(round(share * side), 1) for side in (first.width, first.height))
+        width, height = self._sides = tuple(max(round(share * side), 1) for side in (first.width, first.height))
         self.cameras = [camera.resized(width, height) for camera in targets.cameras]
-        self.background, self.size, self._blur, self._unit = targets.background, max(width, height), blur, unit
-        count = np.ones((len(self.cameras), height, width), np.float32)
+        self.background, self.size, self.blur, self._unit = targets.background, max(width, height), blur, unit
+        self._device, self._spare, self._count = device, SpareMemory(device), len(self.cameras) * height * width
 
         def smaller(values: Any) -> Any:
             return None if values is None else _averaged(values, height, width)
 
         self.images, self.alphas = smaller(targets.images), smaller(targets.alphas)
-        self.weights = count if targets.weights is None else smaller(targets.weights)
+        ones = np.ones((len(self.cameras), height, width), np.float32)
+        self.weights = ones if targets.weights is None else smaller(targets.weights)
         self.depths = None
         if targets.depths is not None:  # a pixel has one where all that it covers has
             known = np.isfinite(targets.depths) & (targets.depths > 0)
-            mean = _averaged(np.where(known, targets.depths, 0), height, width)
-            self.depths = np.where(_averaged(known.astype(np.float32), height, width) > 0.999, mean, np.nan)
-        self._covered: float | None = None
+            mean = smaller(np.where(known, targets.depths, 0))
+            self.depths = np.where(smaller(known.astype(np.float32)) > 0.999, mean, np.float32(np.nan))
+        # what has a depth is covered: a pose may not leave it out
+        alphas = ones if self.alphas is None and self.depths is not None else self.alphas
+        parts = {"rgb": self.images, "alpha": alphas, "depth": self.depths}
+        held = {name: self._uploaded(values, name) for name, values in parts.items() if values is not None}
+        self._names, self._pictures, self._weights = list(held), _pixels(held), self._uploaded(self.weights, "alpha")
+        self._comparison = Comparison()
+        self._comparison.unit, self._comparison.known_alone = unit, int(self.alphas is None)
+        self._taps = wp.array(gaussian_taps(blur), dtype=wp.float32, device=device) if blur else None
+        self._middle = self._middles(self._shown())
 
-    def frames(self, deformer: Any) -> dict[str, np.ndarray]:
-        """What is compared of the last pose's frames: "rgb" (n, h, w, 3), "alpha" and "depth" (n, h, w)."""
-        wanted = {
-            "rgb": self.images is not None,
-            "alpha": self._covered is None or self.alphas is not None or self.depths is not None,
-            "depth": self.depths is not None,
-        }
-        frames = deformer.render(self.cameras, background=self.background)
-        return {name: np.stack([getattr(frame, name) for frame in frames]) for name in wanted if wanted[name]}
+    def _uploaded(self, values: np.ndarray, name: str) -> wp.array:
+        """Pictures (n, h, w, ...) as (n * h * w,) on the device."""
+        rows = np.ascontiguousarray(values, np.float32).reshape(self._count, *values.shape[3:])
+        return wp.array(rows, dtype=part_type(name), device=self._device)
+
+    def frames(self, deformer: Any) -> dict[str, wp.array]:
+        """The parts of the last pose's frames, (n * h * w,) each."""
+        self._spare.keep(FRAME_BYTES * self._count)  # the host waits once an evaluation
+        arrays = deformer.render(self.cameras, background=self.background).arrays
+        return {name: array_view(arrays[name], part_type(name), self._count) for name in PART_NAMES}
 
     def __call__(self, deformer: Any, *, with_gradient: bool = True) -> tuple[float, Any]:
         """The loss of the last pose of a Deformer, and its gradient (v, 3) by the posed cage's vertices, or 0."""
-        frames = self.frames(deformer)
-        covered = self._covered_pixels(frames)
-        parts = self._parts(frames)
-        loss = sum(value for value, _ in parts.values()) / covered
-        if not with_gradient:
-            return loss, 0.0
-        slopes = {name: slope / covered for name, (_, slope) in parts.items()}
-        if isinstance(deformer.field, VoxelField):
-            given = {
-                name: wp.array(slope.reshape(-1, *slope.shape[3:]), dtype=part_type(name), device=deformer.device)
-                for name, slope in slopes.items()
-            }
-            options = RenderOptions(background=self.background)
-            with deformer.lock:
-                found = [voxel_gradient(deformer, self.cameras, given, options, by_vertices=True)]
-        else:
-            found = [
-                frame_gradient(
-                    deformer,
-                    camera,
-                    slopes["rgb"][view] if "rgb" in slopes else None,
-                    **{f"{name}_gradient": slope[view] for name, slope in slopes.items() if name != "rgb"},
-                    background=self.background,
-                    by_vertices=True,
-                )
-                for view, camera in enumerate(self.cameras)
-            ]
-        by_vertices = [each.vertices.numpy() for each in found if each.vertices is not None]
-        return loss, np.sum(by_vertices, axis=0, dtype=np.float64)
+        losses, slopes = self.compared(self.frames(deformer), with_slopes=with_gradient)
+        by_vertices = self._by_vertices(deformer, slopes) if with_gradient else None
+        loss = float(losses.numpy().sum(dtype=np.float64))  # waits for the device, which has all its work by now
+        return loss, 0.0 if by_vertices is None else by_vertices.numpy().astype(np.float64)
 
-    def _covered_pixels(self, frames: dict[str, np.ndarray]) -> float:
+    def compared(
+        self, frames: dict[str, wp.array], *, with_slopes: bool = True
+    ) -> tuple[wp.array, dict[str, wp.array]]:
+        """Numbers (m, 1) whose sum is the loss of frames, and slopes (n * h * w,) by their parts that count."""
+        slopes = self._parts(self._names if with_slopes else ())
+        losses = run_sums(self._weighed(frames, slopes, {}))
+        if with_slopes and self._taps is not None:
+            slopes |= self._blurred(slopes, Pixels())
+        return losses, slopes
+
+    def _by_vertices(self, deformer: Any, slopes: dict[str, wp.array]) -> wp.array | None:
+        """Slopes (v,) by the posed cage's vertices, from those by the frames."""
+        with deformer.lock:
+            if isinstance(deformer.field, VoxelField):
+                options = RenderOptions(background=self.background)
+                return voxel_gradient(deformer, self.cameras, slopes, options, by_vertices=True).vertices
+            return views_gradient(deformer, self.cameras, slopes, self.background, by_vertices=True).vertices
+
+    def _parts(self, names: Sequence[str]) -> dict[str, wp.array]:
+        """New arrays (n * h * w,) by names of parts."""
+        return picture_arrays(self._count, names, self._device)
+
+    def _weighed(
+        self, frames: dict[str, wp.array], slopes: dict[str, wp.array], roots: dict[str, wp.array]
+    ) -> wp.array:
+        """(n * h * w, 1) what each pixel adds to the loss. Sets what is given: slopes by blurred differences, and these
+        times the roots of their weights."""
+        if not self._comparison.scale:
+            self._comparison.scale = 1.0 / self._covered(frames)
+        blurred = {} if self._taps is None else self._blurred(frames, self._pictures)
+        losses = empty_array((self._count, 1), wp.float32, self._device)
+        inputs = [_pixels(frames), self._pictures, _pixels(blurred), self._weights, self._comparison]
+        outputs = [_pixels(slopes), _pixels(roots), losses.flatten()]
+        launch(weigh_differences, self._count, inputs, outputs, device=self._device)
+        return losses
+
+    def _blurred(self, values: dict[str, wp.array], minus: Any) -> dict[str, wp.array]:
+        """Colours and opacities of values - minus, blurred."""
+        assert self._taps is not None
+        width, height = self._sides
+        for stride, side in ((1, width), (width, height)):
+            found = self._parts([name for name in self._names if name != "depth"])
+            inputs = [_pixels(values), minus, stride, side, self._taps]
+            launch(blur_lines, self._count, inputs, [_pixels(found)], device=self._device, work=8 * self._taps.size)
+            values, minus = found, Pixels()
+        return values
+
+    def _covered(self, frames: dict[str, wp.array]) -> float:
         """How many pixels the object covers, of the first frames where pictures have no opacity."""
-        if self._covered is None:
-            self._covered = max(float(np.sum(frames["alpha"] if self.alphas is None else self.alphas)), 1.0)
-        return self._covered
-
-    def _compared(self, frames: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, float, np.ndarray]]:
-        """Differences of frames from the pictures by their parts, where they begin to count linearly, and weights."""
-        parts, weights = {}, self.weights
-        if self.images is not None:
-            parts["rgb"] = self._smooth(frames["rgb"] - self.images), ROBUST, weights[..., None] / 3
         if self.alphas is not None:
-            parts["alpha"] = self._smooth(frames["alpha"] - self.alphas), ROBUST, ALPHA * weights
-        elif self.depths is not None:  # what has a depth is covered: a pose may not leave it out
-            parts["alpha"] = self._smooth(frames["alpha"] - 1), ROBUST, ALPHA * weights * np.isfinite(self.depths)
-        if self.depths is not None:
-            known = np.isfinite(self.depths) & np.isfinite(frames["depth"])
-            off = np.where(known, frames["depth"], 0) - np.where(known, self.depths, 0)
-            parts["depth"] = off / self._unit, ROBUST_DEPTH, DEPTH * weights * known
-        return parts
-
-    def _parts(self, frames: dict[str, np.ndarray]) -> dict[str, tuple[float, np.ndarray]]:
-        """Sums over all pixels, and their derivatives by the parts of the frames."""
-        parts = {name: robust(*compared) for name, compared in self._compared(frames).items()}
-        return {
-            name: (value, slope / self._unit if name == "depth" else self._smooth(slope))
-            for name, (value, slope) in parts.items()
-        }
+            return max(float(np.sum(self.alphas)), 1.0)
+        return max(float(column_sums(frames["alpha"].reshape((self._count, 1)))[0]), 1.0)
 
     def differences(self, deformer: Any) -> np.ndarray:
         """(m,) all differences of the last pose by the roots of their weights: the sum of squares is about the loss."""
-        frames = self.frames(deformer)
-        covered = self._covered_pixels(frames)
-        parts = self._compared(frames).values()
-        return np.concatenate([(np.sqrt(weights / covered) * off).ravel() for off, _, weights in parts])
+        roots = self._parts(self._names)
+        self._weighed(self.frames(deformer), {}, roots)
+        return np.concatenate([part.numpy().ravel() for part in roots.values()]).astype(np.float64)
 
     def shift(self, deformer: Any, center: np.ndarray) -> np.ndarray:
         """(3,) by which the last pose must move, so that silhouettes lie where the pictures have them."""
         # Middles of silhouettes; the least squares of what the cameras see of a shift at the distance of the center.
         rows, right = [1e-3 * np.eye(3)], [np.zeros(3)]
-        shown, shown_now = self._shown(), self._shown(self.frames(deformer))
-        for view, camera in enumerate(self.cameras):
-            wanted, seen = (self._middle(pixels[view], view) for pixels in (shown, shown_now))
-            if wanted is not None and seen is not None:
+        off = self._middle - self._middles(self._shown(self.frames(deformer)))
+        for camera, pixels in zip(self.cameras, off, strict=True):
+            if np.isfinite(pixels).all():
                 depth = max(float((center - camera.center) @ camera.rotation[:, 2]), 1e-6 * self._unit)
                 rows.append(camera.rotation[:, :2].T)
-                right.append((wanted - seen) * depth / [camera.fx, camera.fy])
+                right.append(pixels * depth / [camera.fx, camera.fy])
         return np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
 
-    def _shown(self, frames: dict[str, np.ndarray] | None = None) -> np.ndarray:
+    def _shown(self, frames: dict[str, wp.array] | None = None) -> np.ndarray:
         """(n, h, w) how much of each pixel the object covers, in the pictures or in frames of it."""
+
+        def seen(name: str, pictures: np.ndarray) -> np.ndarray:
+            return pictures if frames is None else frames[name].numpy().reshape(pictures.shape)
+
         if self.alphas is not None:
-            return self.alphas if frames is None else frames["alpha"]
+            return seen("alpha", self.alphas)
         if self.images is not None:
-            images = self.images if frames is None else frames["rgb"]
-            return np.abs(images - self.background).max(axis=-1) > SHOWN
+            return np.abs(seen("rgb", self.images) - self.background).max(axis=-1) > SHOWN
         assert self.depths is not None
-        return np.isfinite(self.depths if frames is None else frames["depth"])
+        return np.isfinite(seen("depth", self.depths))
 
-    def _middle(self, shown: np.ndarray, view: int) -> np.ndarray | None:
-        """(2,) the middle of what a picture shows, pixels; None where it shows nothing."""
-        weights = shown * self.weights[view]
-        total = float(weights.sum())
-        places = np.moveaxis(np.indices(shown.shape), 0, -1)[..., ::-1] + 0.5
-        return np.einsum("hw,hwi->i", weights, places) / total if total > 0.5 else None
-
-    def _smooth(self, values: np.ndarray) -> np.ndarray:
-        """Blurred pictures (n, h, w, ...): its own adjoint, as what is around them counts as zero."""
-        if not self._blur:
-            return values
-        from scipy.ndimage import gaussian_filter
-
-        return gaussian_filter(values, (0, self._blur, self._blur, *[0] * (values.ndim - 3)), mode="constant")
+    def _middles(self, shown: np.ndarray) -> np.ndarray:
+        """(n, 2) the middle of what each picture shows, pixels; NaN where it shows nothing."""
+        weights = shown * self.weights
+        total = weights.sum(axis=(1, 2))
+        total = np.where(total > 0.5, total, np.nan)
+        return np.stack(
+            [weights.sum(axis=across) @ (np.arange(shown.shape[3 - across]) + 0.5) / total for across in (1, 2)], axis=1
+        )
 
 
-def robust(difference: np.ndarray, scale: float, weights: np.ndarray) -> tuple[float, np.ndarray]:
-    """Sum of squares that grow linearly above a scale (pseudo-Huber), and its derivatives."""
-    root = np.sqrt(1 + (difference / scale) ** 2)
-    return float((2 * scale**2 * weights * (root - 1)).sum(dtype=np.float64)), 2 * weights * difference / root
+def _pixels(parts: dict[str, wp.array]) -> Any:
+    """The Pixels of arrays by names of a frame's parts."""
+    pixels = Pixels()
+    for name, array in parts.items():
+        setattr(pixels, name, array)
+    return pixels
+
+
+def gaussian_taps(blur: float) -> np.ndarray:
+    """(r + 1,) weights of a Gaussian of a standard deviation in pixels, from its middle on, up to four of them."""
+    places = np.arange(int(4 * blur + 0.5) + 1)
+    taps = np.exp(-0.5 * (places / blur) ** 2)
+    return taps / (2 * taps.sum() - taps[0])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 from fields import BOX, ellipsoid, make_field, plain
 from ground_truth import CarriedMesh, InverseMap, subdivided_model
 from refusals import refused
@@ -309,7 +310,7 @@ def test_gradients_of_pictures_are_differences(device):
     frames = [deformer.posed(BOX.rotate(8).translate([0.03, 0, 0.02])).render(camera) for camera in seen]
     parts = {name: np.stack([getattr(frame, name) for frame in frames]) for name in ("alpha", "depth")}
     targets = PoseTargets(seen, images=[frame.rgb for frame in frames], alphas=parts["alpha"], depths=parts["depth"])
-    loss = PictureLoss(targets, 32, 1.0, BOX.size)
+    loss = PictureLoss(targets, 32, 1.0, BOX.size, deformer.device)
 
     def value(vertices):
         return loss(deformer.pose(vertices), with_gradient=False)[0]
@@ -328,7 +329,7 @@ def test_gradients_of_pictures_are_differences(device):
 def test_smaller_pictures_are_means():
     images = np.random.default_rng(0).random((1, 6, 9, 3)).astype(np.float32)
     camera = Camera.look_at((3, 0, 0), (0, 0, 0), width=9, height=6, fov_degrees=40)
-    loss = PictureLoss(PoseTargets([camera], images=images), 3, 0.0, 1.0)
+    loss = PictureLoss(PoseTargets([camera], images=images), 3, 0.0, 1.0, wp.get_device("cpu"))
     np.testing.assert_allclose(loss.images, images.reshape(1, 2, 3, 3, 3, 3).mean(axis=(2, 4)), atol=1e-6)
     assert (loss.cameras[0].width, loss.cameras[0].height) == (3, 2)
 

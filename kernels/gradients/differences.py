@@ -1,0 +1,131 @@
+"""Differences of frames from pictures, blurred, a robust sum of their squares, and its slopes by the frames."""
+
+# A loss of views is sum_p w_p rho(d_p), d = G (frame - picture) with G a Gaussian blur of each view that takes what is
+# around it for zero, and rho(d) = 2 s^2 (sqrt(1 + (d / s)^2) - 1), which is d^2 near zero and grows linearly above s
+# (pseudo-Huber). G is its own adjoint: slopes by the frame are G rho'(d).
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+#: Weights of squares of opacities, and of depths as shares of the cage's size, beside those of colors.
+ALPHA, DEPTH = wp.constant(0.5), wp.constant(20.0)
+
+#: Differences of colors and opacities, and of depths as shares of the cage's size, above which they count linearly.
+ROBUST, ROBUST_DEPTH = wp.constant(0.15), wp.constant(0.03)
+
+
+@wp.struct
+class Pixels:
+    """Parts of the pixels of stacked views, (views * h * w,) each; arrays without entries are left out."""
+
+    rgb: wp.array(dtype=wp.vec3)
+    alpha: wp.array(dtype=wp.float32)
+    depth: wp.array(dtype=wp.float32)
+
+
+@wp.struct
+class Comparison:
+    """What differences count."""
+
+    scale: float  # of the whole sum
+    unit: float  # size of the cage, world units
+    known_alone: int  # 1: opacities count where the pictures have a depth
+
+
+@wp.kernel
+def blur_lines(
+    first: int, values: Pixels, minus: Pixels, stride: int, size: int, taps: wp.array(dtype=wp.float32), blurred: Pixels
+):
+    """blurred: colors and opacities of values - minus, or of values where minus has none, weighed by taps (r + 1,),
+    which begin in the middle, along lines of `size` pixels that lie `stride` apart."""
+    n = first + wp.tid()
+    place = (n // stride) % size
+    reach = taps.shape[0] - 1
+    color = wp.vec3()
+    opacity = float(0.0)
+    k = wp.max(-reach, -place)
+    while k <= wp.min(reach, size - 1 - place):
+        weight = taps[wp.abs(k)]
+        m = n + k * stride
+        if blurred.rgb.shape[0] > 0:
+            color += weight * values.rgb[m]
+            if minus.rgb.shape[0] > 0:
+                color -= weight * minus.rgb[m]
+        if blurred.alpha.shape[0] > 0:
+            opacity += weight * values.alpha[m]
+            if minus.alpha.shape[0] > 0:
+                opacity -= weight * minus.alpha[m]
+        k += 1
+    if blurred.rgb.shape[0] > 0:
+        blurred.rgb[n] = color
+    if blurred.alpha.shape[0] > 0:
+        blurred.alpha[n] = opacity
+
+
+@wp.func
+def robust_square(off: float, scale: float, weight: float):
+    """Weighed rho(off), its derivative, and the root of weight off^2."""
+    share = off / scale
+    root = wp.sqrt(1.0 + share * share)
+    return wp.vec3(2.0 * weight * off * off / (1.0 + root), 2.0 * weight * off / root, wp.sqrt(weight) * off)
+
+
+@wp.kernel
+def weigh_differences(
+    first: int,
+    frames: Pixels,
+    targets: Pixels,
+    blurred: Pixels,
+    weights: wp.array(dtype=wp.float32),
+    comparison: Comparison,
+    slopes: Pixels,
+    roots: Pixels,
+    losses: wp.array(dtype=wp.float32),
+):
+    """losses (views * h * w,): what each pixel adds; slopes by the differences, which are `blurred` where that has
+    entries; roots: differences times the roots of their weights. weights: of pixels. Parts are those of targets."""
+    n = first + wp.tid()
+    weight = comparison.scale * weights[n]
+    loss = float(0.0)
+    if targets.rgb.shape[0] > 0:
+        color = wp.vec3()
+        if blurred.rgb.shape[0] > 0:
+            color = blurred.rgb[n]
+        else:
+            color = frames.rgb[n] - targets.rgb[n]
+        red = robust_square(color[0], ROBUST, weight / 3.0)
+        green = robust_square(color[1], ROBUST, weight / 3.0)
+        blue = robust_square(color[2], ROBUST, weight / 3.0)
+        loss += red[0] + green[0] + blue[0]
+        if slopes.rgb.shape[0] > 0:
+            slopes.rgb[n] = wp.vec3(red[1], green[1], blue[1])
+        if roots.rgb.shape[0] > 0:
+            roots.rgb[n] = wp.vec3(red[2], green[2], blue[2])
+    known = float(1.0)
+    if targets.depth.shape[0] > 0 and not wp.isfinite(targets.depth[n]):
+        known = 0.0
+    if targets.alpha.shape[0] > 0:
+        opacity = float(0.0)
+        if blurred.alpha.shape[0] > 0:
+            opacity = blurred.alpha[n]
+        else:
+            opacity = frames.alpha[n] - targets.alpha[n]
+        counted = wp.where(comparison.known_alone == 1, known, 1.0)
+        found = robust_square(opacity, ROBUST, ALPHA * weight * counted)
+        loss += found[0]
+        if slopes.alpha.shape[0] > 0:
+            slopes.alpha[n] = found[1]
+        if roots.alpha.shape[0] > 0:
+            roots.alpha[n] = found[2]
+    if targets.depth.shape[0] > 0:
+        off = float(0.0)
+        if known == 1.0 and wp.isfinite(frames.depth[n]):
+            off = (frames.depth[n] - targets.depth[n]) / comparison.unit
+        found = robust_square(off, ROBUST_DEPTH, DEPTH * weight)
+        loss += found[0]
+        if slopes.depth.shape[0] > 0:
+            slopes.depth[n] = found[1] / comparison.unit
+        if roots.depth.shape[0] > 0:
+            roots.depth[n] = found[2]
+    losses[n] = loss
