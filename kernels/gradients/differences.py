@@ -30,6 +30,7 @@ class Comparison:
 
     scale: float  # of the whole sum
     unit: float  # size of the cage, world units
+    behind: float  # by which frames' depth lies behind the surface, world units
     known_alone: int  # 1: opacities count where the pictures have a depth
 
 
@@ -121,7 +122,7 @@ def weigh_differences(
     if targets.depth.shape[0] > 0:
         off = float(0.0)
         if known == 1.0 and wp.isfinite(frames.depth[n]):
-            off = (frames.depth[n] - targets.depth[n]) / comparison.unit
+            off = (frames.depth[n] - comparison.behind - targets.depth[n]) / comparison.unit
         found = robust_square(off, ROBUST_DEPTH, DEPTH * weight)
         loss += found[0]
         if slopes.depth.shape[0] > 0:

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.devices import launch
+from ..core.devices import SpareMemory, launch
 from ..deform.deformer import Deformer
 from ..deform.splat_edits import SplatEdits
 from ..errors import InputError
@@ -27,7 +27,7 @@ class SplatBackward:
     """What gradients of a Deformer's splats keep between calls."""
 
     def __init__(self, field: SplatField):
-        self.renderer = SplatGradients(field.device)
+        self.renderer, self.spare = SplatGradients(field.device), SpareMemory(field.device)
         self._field = field
         self._shapes: list[wp.array] = []
 
@@ -49,7 +49,10 @@ def splat_gradient(
     deformer: Deformer[SplatField], camera: Camera, loss: dict[str, wp.array], background: Any, **wanted: bool
 ) -> FrameGradient:
     """See `frame_gradient`; loss: of `frame_loss`."""
-    return views_gradient(deformer, [camera], loss, background, **wanted)
+    found = views_gradient(deformer, [camera], loss, background, **wanted)
+    edits: Any = deformer.posed_edits()
+    edits.backward.spare.keep(sum(part.capacity for part in vars(found).values() if isinstance(part, wp.array)))
+    return found
 
 
 def views_gradient(

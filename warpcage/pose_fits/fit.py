@@ -29,6 +29,7 @@ from .motions import (
 )
 from .points import PointLoss
 from .priors import DEFAULT_WEIGHTS, Priors
+from .surface import depth_behind
 from .targets import PictureLoss, PoseTargets
 
 #: Cells of the lattice of the map during a fit, at most: poses are smooth.
@@ -236,6 +237,11 @@ class _Moved:
         self.rest = deformer.edits[0].cage
 
     @functools.cached_property
+    def depth_behind(self) -> float:
+        """World units by which frames' depth lies behind the surface."""
+        return depth_behind(self.deformer.field)
+
+    @functools.cached_property
     def basis(self) -> np.ndarray:
         """(v, v) all shapes of the cage, the smoothest first."""
         return smooth_basis(self.rest)
@@ -258,8 +264,12 @@ class _Fit:
         """Take pictures of this size."""
         if self._targets.has_pictures:
             size = max(round(level.share * self._largest), min(MIN_PIXELS, self._largest))
-            if self.pictures is None or (self.pictures.size, self.pictures.blur) != (size, level.blur):
-                self.pictures = PictureLoss(self._targets, size, level.blur, self._rest.size, self._deformer.device)
+            if self.pictures is not None and self.pictures.size == size:
+                self.pictures = self.pictures.blurred(level.blur)
+            else:
+                behind = 0.0 if self._targets.depths is None else self._moved.depth_behind
+                options = self._rest.size, self._deformer.device, behind
+                self.pictures = PictureLoss(self._targets, size, level.blur, *options)
 
     def _loss(self, vertices: np.ndarray, *, with_gradient: bool = True) -> tuple[float, np.ndarray]:
         """Loss of a pose without priors, and its gradient (v, 3)."""

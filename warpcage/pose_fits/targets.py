@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
@@ -40,8 +41,9 @@ class PoseTargets:
         images: (n, h, w, 3) in [0, 1], before `background`; (n, h, w, 4) with opacity, whose colours are their own
             (straight alpha). None: there are none.
         alphas: (n, h, w) opacities or masks in [0, 1]. None: those of images with four channels, or none.
-        depths: (n, h, w) distances from the cameras' centres along the rays, world units, as those of a Frame; not
-            finite or 0 where they are not known. None: there are none.
+        depths: (n, h, w) distances from the cameras' centres along the rays to the surface, world units; not finite or
+            0 where they are not known. None: there are none. Those of frames lie behind the surface; a fit allows for
+            that.
         weights: (n, h, w) how much each pixel counts, 0 for what is to be ignored. None counts all.
         background: Colour behind the object in pictures without opacity, a name or (3,). The field is drawn before it.
         points: (p, 3) places of the object at rest, world units. None: there are none.
@@ -171,7 +173,7 @@ def _averaged(pictures: np.ndarray, height: int, width: int) -> np.ndarray:
             continue
         shares = _shares(pictures.shape[axis], size)
         pictures = np.moveaxis(np.tensordot(shares, pictures, (1, axis)), 0, axis)
-    return pictures.astype(np.float32)
+    return pictures
 
 
 def _shares(before: int, after: int) -> np.ndarray:
@@ -179,19 +181,28 @@ def _shares(before: int, after: int) -> np.ndarray:
     edges = np.arange(after + 1) * before / after
     low, high = edges[:-1, None], edges[1:, None]
     pixels = np.arange(before)[None, :]
-    return np.clip(np.minimum(high, pixels + 1) - np.maximum(low, pixels), 0, None) * after / before
+    shares = np.clip(np.minimum(high, pixels + 1) - np.maximum(low, pixels), 0, None) * after / before
+    return shares.astype(np.float32)  # products of float32 take half the time
 
 
 class PictureLoss:
     """Frames of a posed Deformer beside pictures of one size: a loss, about the mean square of the object's pixels.
     Frames, differences and slopes by them stay on the device."""
 
-    def __init__(self, targets: PoseTargets, size: int, blur: float, unit: float, device: wp.Device):
+    def __init__(
+        self,
+        targets: PoseTargets,
+        size: int,
+        blur: float,
+        unit: float,
+        device: wp.Device,
+        behind: float = 0.0,  # of `depth_behind`
+    ):
         first = targets.cameras[0]
         share = min(size / targets.pixel_size, 1.0)
         width, height = self._sides = tuple(max(round(share * side), 1) for side in (first.width, first.height))
         self.cameras = [camera.resized(width, height) for camera in targets.cameras]
-        self.background, self.size, self.blur, self._unit = targets.background, max(width, height), blur, unit
+        self.background, self.size, self._unit = targets.background, max(width, height), unit
         self._device, self._spare, self._count = device, SpareMemory(device), len(self.cameras) * height * width
 
         def smaller(values: Any) -> Any:
@@ -210,10 +221,21 @@ class PictureLoss:
         parts = {"rgb": self.images, "alpha": alphas, "depth": self.depths}
         held = {name: self._uploaded(values, name) for name, values in parts.items() if values is not None}
         self._names, self._pictures, self._weights = list(held), _pixels(held), self._uploaded(self.weights, "alpha")
-        self._comparison = Comparison()
-        self._comparison.unit, self._comparison.known_alone = unit, int(self.alphas is None)
-        self._taps = wp.array(gaussian_taps(blur), dtype=wp.float32, device=device) if blur else None
-        self._middle = self._middles(self._shown())
+        self._middle, self._behind = self._middles(self._shown()), behind
+        self._begin(blur)
+
+    def _begin(self, blur: float) -> None:
+        """Blur differences from now on, pixels; the next frames say how many pixels the object covers."""
+        self.blur, self._comparison = blur, Comparison()
+        self._comparison.unit, self._comparison.behind = self._unit, self._behind
+        self._comparison.known_alone = int(self.alphas is None)
+        self._taps = wp.array(gaussian_taps(blur), dtype=wp.float32, device=self._device) if blur else None
+
+    def blurred(self, blur: float) -> PictureLoss:
+        """The same pictures with another blur of differences, pixels."""
+        other = copy.copy(self)
+        other._begin(blur)
+        return other
 
     def _uploaded(self, values: np.ndarray, name: str) -> wp.array:
         """Pictures (n, h, w, ...) as (n * h * w,) on the device."""

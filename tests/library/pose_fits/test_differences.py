@@ -9,7 +9,7 @@ import warp as wp
 from warpcage import Camera, PoseTargets
 from warpcage.pose_fits.targets import PictureLoss
 
-UNIT, WIDTH, HEIGHT = 1.7, 11, 7
+UNIT, BEHIND, WIDTH, HEIGHT = 1.7, 0.02, 11, 7
 CAMERAS = [Camera.look_at(eye, (0, 0, 0), width=WIDTH, height=HEIGHT) for eye in ((3, 0, 1), (0, 3, 1))]
 
 
@@ -52,7 +52,7 @@ def expected_loss(frames, targets, weights, names, blur):
         loss += (0.5 * weights * known * rho(window_sums(frames["alpha"] - 1, blur), 0.15)).sum()
     if "depth" in names:
         both = known & np.isfinite(frames["depth"])
-        off = np.where(both, frames["depth"], 0) - np.where(both, targets["depth"], 0)
+        off = np.where(both, frames["depth"] - BEHIND, 0) - np.where(both, targets["depth"], 0)
         loss += (20 * weights * both * rho(off / UNIT, 0.03)).sum()
     return loss / (targets if "alpha" in names else frames)["alpha"].sum()
 
@@ -63,7 +63,7 @@ def test_loss_and_slopes_are_those_of_float64(names, blur, device):
     frames, targets = random_parts(0, np.inf), random_parts(1, np.nan)
     weights = np.random.default_rng(2).random((2, HEIGHT, WIDTH)).astype(np.float32)
     given = {f"{'image' if name == 'rgb' else name}s": targets[name] for name in names.split()}
-    loss = PictureLoss(PoseTargets(CAMERAS, weights=weights, **given), WIDTH, blur, UNIT, wp.get_device(device))
+    loss = PictureLoss(PoseTargets(CAMERAS, weights=weights, **given), WIDTH, blur, UNIT, wp.get_device(device), BEHIND)
     losses, slopes = loss.compared({name: on_device(name, part, device) for name, part in frames.items()})
     wide = [{name: part.astype(float) for name, part in parts.items()} for parts in (frames, targets)]
     scale = wide[0]["alpha"].sum()

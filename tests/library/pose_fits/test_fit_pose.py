@@ -24,6 +24,7 @@ from warpcage import (
 from warpcage.pose_fits.motions import LinearMotion, RigidMotion, smooth_basis
 from warpcage.pose_fits.points import PointLoss, positions_of
 from warpcage.pose_fits.priors import Priors
+from warpcage.pose_fits.surface import depth_behind
 from warpcage.pose_fits.targets import PictureLoss
 
 RADII = np.array([0.55, 0.35, 0.25])
@@ -96,6 +97,21 @@ def test_depth_by_formula_gives_how_far_away_an_object_is(device):
     deformer = Deformer(ball_field(device, 72), BOX, resolution=16)
     found = fit_pose(deformer, PoseTargets([camera], depths=depth[None]), parameters="rigid", restarts=0)
     assert error(BOX, surface() + shift) > 0.09 and error(found.cage, surface() + shift) < 0.02
+
+
+def test_depth_of_frames_lies_behind_the_surface_by_what_is_found(device):
+    """Of an ellipsoid that absorbs 15 a unit, beside where rays meet it by formula."""
+    inside = lambda x: 15.0 * (np.linalg.norm(x / RADII, axis=-1) < 1)  # noqa: E731
+    field, off = make_field(inside, plain((0.8, 0.3, 0.2)), device=device, resolution=64), []
+    for camera in cameras(3):
+        origins, directions = (part / RADII for part in camera.rays())
+        a, b = (directions**2).sum(-1), (origins * directions).sum(-1)
+        root = b**2 - a * ((origins**2).sum(-1) - 1)
+        frame = field.render(camera)
+        seen = (root > 0) & (frame.alpha > 0.9)
+        off.append(frame.depth[seen] - ((-b - np.sqrt(np.maximum(root, 0))) / a)[seen])
+    middle = np.median(np.concatenate(off))
+    assert middle == pytest.approx(1 / 15, rel=0.1) and depth_behind(field) == pytest.approx(middle, rel=0.12)
 
 
 @pytest.fixture(scope="module")
