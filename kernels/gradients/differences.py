@@ -2,7 +2,8 @@
 
 # A loss of views is sum_p w_p rho(d_p), d = G (frame - picture) with G a Gaussian blur of each view that takes what is
 # around it for zero, and rho(d) = 2 s^2 (sqrt(1 + (d / s)^2) - 1), which is d^2 near zero and grows linearly above s
-# (pseudo-Huber). G is its own adjoint: slopes by the frame are G rho'(d).
+# (pseudo-Huber). G is its own adjoint: slopes by the frame are G rho'(d). Depths z, which have no blur, differ by
+# a (z - target), with a the opacity: where little is seen little counts, and nothing jumps where a depth comes or goes.
 
 import warp as wp
 
@@ -72,6 +73,15 @@ def robust_square(off: float, scale: float, weight: float):
     return wp.vec3(2.0 * weight * off * off / (1.0 + root), 2.0 * weight * off / root, wp.sqrt(weight) * off)
 
 
+@wp.func
+def depth_off(frames: Pixels, targets: Pixels, comparison: Comparison, n: int):
+    """Difference of the depths of a pixel as a share of the cage's size, 0 where there is none to compare."""
+    off = float(0.0)
+    if wp.isfinite(targets.depth[n]) and wp.isfinite(frames.depth[n]):
+        off = (frames.depth[n] - comparison.behind - targets.depth[n]) / comparison.unit
+    return off
+
+
 @wp.kernel
 def weigh_differences(
     first: int,
@@ -120,13 +130,20 @@ def weigh_differences(
         if roots.alpha.shape[0] > 0:
             roots.alpha[n] = found[2]
     if targets.depth.shape[0] > 0:
-        off = float(0.0)
-        if known == 1.0 and wp.isfinite(frames.depth[n]):
-            off = (frames.depth[n] - comparison.behind - targets.depth[n]) / comparison.unit
+        off = frames.alpha[n] * depth_off(frames, targets, comparison, n)
         found = robust_square(off, ROBUST_DEPTH, DEPTH * weight)
         loss += found[0]
         if slopes.depth.shape[0] > 0:
-            slopes.depth[n] = found[1] / comparison.unit
+            slopes.depth[n] = found[1]
         if roots.depth.shape[0] > 0:
             roots.depth[n] = found[2]
     losses[n] = loss
+
+
+@wp.kernel
+def share_depth_slopes(first: int, frames: Pixels, targets: Pixels, comparison: Comparison, slopes: Pixels):
+    """slopes: those by opacities and depths, where `depth` has those by their products."""
+    n = first + wp.tid()
+    by_product = slopes.depth[n]
+    slopes.alpha[n] = slopes.alpha[n] + by_product * depth_off(frames, targets, comparison, n)
+    slopes.depth[n] = by_product * frames.alpha[n] / comparison.unit

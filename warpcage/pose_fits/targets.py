@@ -20,7 +20,7 @@ from ..field.voxel_field import VoxelField
 from ..gradients.frame import voxel_gradient
 from ..gradients.loss import column_sums, run_sums
 from ..gradients.splats import views_gradient
-from ..kernels.gradients.differences import Comparison, Pixels, blur_lines, weigh_differences
+from ..kernels.gradients.differences import Comparison, Pixels, blur_lines, share_depth_slopes, weigh_differences
 from ..scene.scene import Scene
 from ..view.camera import Camera
 from ..view.frame import PART_NAMES, parse_background, part_type
@@ -263,6 +263,9 @@ class PictureLoss:
         losses = run_sums(self._weighed(frames, slopes, {}))
         if with_slopes and self._taps is not None:
             slopes |= self._blurred(slopes, Pixels())
+        if "depth" in slopes:
+            inputs = [_pixels(frames), self._pictures, self._comparison]
+            launch(share_depth_slopes, self._count, inputs, [_pixels(slopes)], device=self._device)
         return losses, slopes
 
     def _by_vertices(self, deformer: Any, slopes: dict[str, wp.array]) -> wp.array | None:

@@ -53,7 +53,7 @@ def expected_loss(frames, targets, weights, names, blur):
     if "depth" in names:
         both = known & np.isfinite(frames["depth"])
         off = np.where(both, frames["depth"] - BEHIND, 0) - np.where(both, targets["depth"], 0)
-        loss += (20 * weights * both * rho(off / UNIT, 0.03)).sum()
+        loss += (20 * weights * rho(frames["alpha"] * off / UNIT, 0.03)).sum()
     return loss / (targets if "alpha" in names else frames)["alpha"].sum()
 
 
