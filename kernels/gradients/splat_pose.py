@@ -106,9 +106,8 @@ def propagate_pose(
     rays: wp.array2d(dtype=wp.float32),
     values: SplatValues,
 ):
-    """splats (n,): as posed; view, sums (9 n,), depth_sums (3 n,) or (0,): of their picture. rays (n, 7) or (0,): by
-    the camera. Slopes and rays are added to, values by rows of the file, which CPU threads share; none of these where
-    log_scales are empty."""
+    """splats (n,): as posed; view, sums (9 n,), depth_sums (3 n,) or (0,): of their picture. Slopes and rays (n, 7) or
+    (0,), by the camera, are added to; where there are log_scales, values by rows, which CPU threads share, as well."""
     n = first + wp.tid()
     depths = wp.vec3()
     if depth_sums.shape[0] > 0:
