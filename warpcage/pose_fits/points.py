@@ -10,10 +10,14 @@ import numpy as np
 from ..coordinates.coordinates import deform_points, mean_value_coordinates
 from ..mesh.mesh import ClosedMesh
 from ..splats.splat_field import SplatField
+from .priors import Rigidity
 from .targets import PoseTargets
 
 #: Weight of their squares beside those of colours.
 WEIGHT = 20.0
+
+#: Weight of the rigid prior beside them where a person drags them: a tenth of `fit_pose`'s, they shall be met.
+PULLED_RIGID = 0.005
 
 #: Distances, as shares of the cage's size, above which they count linearly.
 ROBUST = 0.05
@@ -79,6 +83,33 @@ class PointLoss:
                 (off * known, lambda slope, known=known, rays=rays, axes=axes: _placed(slope * known, rays) @ axes)
             )
         return parts
+
+
+class PointPull:
+    """Vertices that take points where they should be, as rigidly as possible: `fit_pose` of points alone, live."""
+
+    # What `fit_pose` minimizes, the squares of `PointLoss` (not robust: a person has set them) and of `Rigidity`, from
+    # a pose `before` that counts as rigid. By turns the best rotations, and the best vertices with these: one matrix,
+    # which is factored once ("As-Rigid-As-Possible Surface Modeling", Sorkine and Alexa 2007, Section 3).
+
+    def __init__(self, rest: ClosedMesh, before: np.ndarray, points: np.ndarray, device: Any):
+        from scipy.linalg import cho_factor
+
+        self.shares = np.asarray(mean_value_coordinates(points, rest, device=device), np.float64)
+        self._rigidity = Rigidity(rest.with_vertices(before))
+        self._weights = PULLED_RIGID, WEIGHT / len(points) / rest.size**2
+        rigid, pull = self._weights
+        self._factor = cho_factor(rigid * self._rigidity.matrix() + pull * self.shares.T @ self.shares)
+
+    def __call__(self, vertices: np.ndarray, places: np.ndarray, turns: int) -> np.ndarray:
+        """(v, 3) from a pose nearby; places (p, 3): where the points should be, by mean value weights alone."""
+        from scipy.linalg import cho_solve
+
+        rigid, pull = self._weights
+        for _ in range(turns):
+            right = rigid * self._rigidity.right_side(vertices) + pull * self.shares.T @ places
+            vertices = cho_solve(self._factor, right)
+        return vertices
 
 
 def _placed(slope: np.ndarray, rays: np.ndarray) -> np.ndarray:

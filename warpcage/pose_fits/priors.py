@@ -35,18 +35,37 @@ class Rigidity:
 
     def __call__(self, vertices: np.ndarray) -> tuple[float, np.ndarray]:
         """The energy, and its gradient (v, 3)."""
+        off = vertices[self._first] - vertices[self._second] - self._turned(vertices)
+        weighted = self._weights[:, None] * off
+        return float((weighted * off).sum()), 2 * self._gathered(weighted)
+
+    def matrix(self) -> np.ndarray:
+        """(v, v) of the energy's squares: half its gradient is this times the vertices, less `right_side`."""
+        matrix = np.zeros((len(self._rest), len(self._rest)))
+        np.add.at(matrix, (self._first, self._second), -2 * self._weights)  # each edge is there both ways
+        matrix[np.diag_indices(len(matrix))] = -matrix.sum(axis=1)
+        return matrix
+
+    def right_side(self, vertices: np.ndarray) -> np.ndarray:
+        """(v, 3) what the best rotations of a pose ask for (Sorkine and Alexa 2007, Eq. 8 and 9)."""
+        return self._gathered(self._weights[:, None] * self._turned(vertices))
+
+    def _turned(self, vertices: np.ndarray) -> np.ndarray:
+        """(e, 3) edges at rest, each turned by the best rotation of its first vertex."""
         posed = vertices[self._first] - vertices[self._second]
         outer = self._weights[:, None, None] * posed[:, :, None] * self._edges[:, None, :]
         sums = np.zeros((len(vertices), 3, 3))
         np.add.at(sums, self._first, outer)
         u, _, vt = np.linalg.svd(sums)
         u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-        off = posed - np.einsum("eij,ej->ei", (u @ vt)[self._first], self._edges)
-        weighted = self._weights[:, None] * off
-        gradient = np.zeros_like(vertices)
-        np.add.at(gradient, self._first, 2 * weighted)
-        np.add.at(gradient, self._second, -2 * weighted)
-        return float((weighted * off).sum()), gradient
+        return np.einsum("eij,ej->ei", (u @ vt)[self._first], self._edges)
+
+    def _gathered(self, by_edges: np.ndarray) -> np.ndarray:
+        """(v, 3) sums over the edges of each vertex, with their signs."""
+        sums = np.zeros_like(self._rest)
+        np.add.at(sums, self._first, by_edges)
+        np.add.at(sums, self._second, -by_edges)
+        return sums
 
 
 def volume_change(rest: ClosedMesh, vertices: np.ndarray) -> tuple[float, np.ndarray]:

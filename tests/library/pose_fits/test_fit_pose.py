@@ -19,10 +19,11 @@ from warpcage import (
     fit,
     fit_pose,
     fit_poses,
+    mean_value_coordinates,
     turntable,
 )
 from warpcage.pose_fits.motions import LinearMotion, RigidMotion, smooth_basis
-from warpcage.pose_fits.points import PointLoss, positions_of
+from warpcage.pose_fits.points import PULLED_RIGID, WEIGHT, PointLoss, PointPull, positions_of
 from warpcage.pose_fits.priors import Priors
 from warpcage.pose_fits.surface import depth_behind
 from warpcage.pose_fits.targets import PictureLoss
@@ -315,6 +316,63 @@ def test_gradients_of_points_are_differences():
     loss = PointLoss(PoseTargets(seen, points=points, positions=positions, pixels=pixels), BOX, "cpu")
     expected = differences(lambda numbers: loss(numbers.reshape(-1, 3))[0], BOX.vertices.ravel())
     np.testing.assert_allclose(loss(BOX.vertices)[1].ravel(), expected, atol=1e-6 * np.abs(expected).max())
+
+
+def pulled_points(count=4):
+    """A cage, as it counts as rigid, and points of it with where they are to go."""
+    rest = Cage.cylinder((0, 0, 0), 0.3, 2.0, rings=5)
+    points = np.array([[0, 0.15, -0.8], [0.1, 0, -0.5], [0, 0.1, 0], [0, 0.1, 0.8]])[:count]
+    places = points + np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0.3, 0, -0.1]])[:count]
+    return rest, rest.twist(20).vertices, points, places
+
+
+def test_pulled_vertices_are_a_minimum_of_points_and_the_rigid_prior():
+    rest, before, points, _ = pulled_points()
+    pull = PointPull(rest, before, points, "cpu")
+    shares = np.asarray(mean_value_coordinates(points, rest, device="cpu"), np.float64)
+    places = shares @ before + np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0.3, 0, -0.1]])
+    found = pull(before, places, 3000)
+    rigid = Priors(rest.with_vertices(before), before, PULLED_RIGID)
+
+    def loss(vertices):
+        off = (shares @ vertices - places) / rest.size
+        return WEIGHT / len(points) * (off**2).sum() + rigid(vertices)[0]
+
+    assert np.abs(shares @ found - places).max() < 2e-3 * rest.size
+    rng, least, step = np.random.default_rng(0), loss(found), 1e-4 * rest.size
+    ways = step * rng.normal(size=(30, *found.shape))
+    slopes = [(loss(found + way) - loss(found - way)) / 2 for way in ways]
+    bends = [loss(found + way) + loss(found - way) - 2 * least for way in ways]
+    assert min(bends) > 0 and np.abs(slopes).max() < 0.02 * min(bends)  # flat there, and higher all around
+    live = before
+    for share in np.linspace(0, 1, 21)[1:]:  # in steps, as a pointer goes
+        live = pull(live, (1 - share) * (shares @ before) + share * places, 5)
+    assert loss(live) < 1.05 * least < loss(before)
+
+
+def test_one_pulled_point_takes_all_along_and_three_turn_it():
+    rest, before, points, _ = pulled_points(1)
+    one = PointPull(rest, before, points, "cpu")
+    away = np.array([0.4, -0.2, 0.1])
+    shares = np.asarray(mean_value_coordinates(points, rest, device="cpu"), np.float64)
+    np.testing.assert_allclose(one(before, shares @ before + away, 5), before + away, atol=1e-6)
+
+    rest, _, points, _ = pulled_points(4)
+    turn = Rotation.from_rotvec([0.2, 0.5, -0.3]).as_matrix().T
+    moved = PointPull(rest, rest.vertices, points, "cpu")(rest.vertices, points @ turn + away, 2000)
+    np.testing.assert_allclose(moved, rest.vertices @ turn + away, atol=1e-3 * rest.size)
+
+
+def test_pulled_vertices_are_those_that_a_fit_finds(device):
+    rest, _, points, places = pulled_points()
+    field = make_field(lambda x: np.zeros(x.shape[:-1]), plain((1, 1, 1)), device=device, resolution=8)
+    targets = PoseTargets(points=points, positions=places)
+    deformer = Deformer(field, rest, coordinates="mean_value", resolution=None)
+    loss = PointLoss(targets, rest, device)
+    found = fit_pose(deformer, targets, regularize=PULLED_RIGID).cage.vertices
+    live = PointPull(rest, rest.vertices, points, device)(rest.vertices, places, 200)
+    prior = Priors(rest, rest.vertices, PULLED_RIGID)
+    assert loss(live)[0] + prior(live)[0] < 1.02 * (loss(found)[0] + prior(found)[0])
 
 
 def test_gradients_of_pictures_are_differences(device):
