@@ -52,7 +52,8 @@ def test_keys_have_the_names_of_actions(page: Modules, event: dict[str, Any], na
 def test_no_key_has_two_actions(page: Modules) -> None:
     script = """
     const [done] = arguments;
-    const names = ["core/store", "panels/actions", "view/selecting", "tools/box", "tools/brush", "tools/ruler"];
+    const tools = ["box", "brush", "landmark", "ruler"].map((name) => `tools/${name}`);
+    const names = ["core/store", "panels/actions", "view/selecting", ...tools];
     Promise.all(names.map((name) => import(`/${name}.js`))).then(([{ actions }]) =>
       done([...actions].map(([name, { label, keys, group }]) => ({ name, label, keys, group }))));
     """

@@ -114,7 +114,7 @@ def test_tools_that_draw_have_room(window: Window, browser: Any, width: int, hei
         window.choose("#time-easing", "bezier")
         window.wait('!document.getElementById("curve-handle-2").hidden')
         window.wait('!document.getElementById("toasts").children.length')
-        for tool in ("tool-box", "tool-ruler", "tool-select", "pick-brush"):
+        for tool in ("tool-box", "tool-landmark", "tool-ruler", "tool-select", "pick-brush"):
             window.click(f"#{tool}")
             until(lambda: not window.get("document.getAnimations().length"), "nothing fades any more")
             assert "\n".join(browser.execute_script(LAYOUT)["bad"]) == "", tool

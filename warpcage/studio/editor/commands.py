@@ -34,6 +34,7 @@ from ..films.document import (
     Document,
     Edit,
     Key,
+    Landmarks,
     Message,
     Selection,
     Sliders,
@@ -127,6 +128,28 @@ def slide(edit: Edit, chosen: tuple[int, ...] | None, message: Message) -> Edit:
         )
     moved = dataclasses.replace(kept, posed=posed, amounts=amounts)
     return dataclasses.replace(edit, posed=posed, moved_sliders=moved)
+
+
+def delete_landmark(document: Document, message: Message) -> Step:
+    """Delete a landmark, or all; the pose stays."""
+    edit = document.edit(message["edit"])
+    held, number = edit.landmarks, message.get("landmark")
+    if number is None and held is None:
+        raise InputError("there are no landmarks to delete")
+    if number is None:
+        return "delete landmarks", document.with_edit(dataclasses.replace(edit, pulled_landmarks=None))
+    held = require_landmark(held, number)
+    kept = {name: np.delete(getattr(held, name), number, axis=0) for name in ("places", "targets", "added")}
+    left = dataclasses.replace(held, **kept)
+    return "delete a landmark", document.with_edit(dataclasses.replace(edit, pulled_landmarks=left))
+
+
+def require_landmark(held: Landmarks | None, number: Any) -> Landmarks:
+    """The landmarks of an edit, which have one of this number."""
+    if held is None:
+        raise InputError("there is no such landmark: something else has changed the pose since")
+    checked_whole(number, "landmark", 0, len(held.places) - 1)
+    return held
 
 
 # -- Edits
@@ -372,6 +395,7 @@ COMMANDS: dict[str, Callable[[Document, Message], Step]] = {
     "settings": change_settings,
     "pose.set": set_pose,
     "pose.reset": reset_pose,
+    "landmark.delete": delete_landmark,
     "edit.add": add_edit,
     "edit.delete": delete_edit,
     "edit.change": change_edit,

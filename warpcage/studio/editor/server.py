@@ -25,6 +25,7 @@ from ..films.session.timeline import framed_views
 from ..spec.settings import Settings
 from .commands import COMMANDS
 from .inspection import Checker
+from .landmarks import Puller
 from .renderer import Renderer, Request
 from .session import PARTS, Session
 from .tasks import Tasks
@@ -98,6 +99,7 @@ class Server:
         assert self._runner.addresses
         self.port = self._runner.addresses[0][1]
         self.renderer = Renderer(self.session.fields, self._deliver)
+        self.puller = Puller(self.session, self.renderer, lambda: self._on_change({"view"}))
         self.session.listeners.append(self._on_change)
         self.session.notify = self._notify
         self._saver = asyncio.create_task(self._save_often())
@@ -115,6 +117,7 @@ class Server:
         """End all that goes on; the session is saved."""
         self.player.stop()
         self.tasks.close()
+        self.puller.stop()
         self.session.end_gesture()
         self.session.listeners.remove(self._on_change)
         self._saver.cancel()
@@ -292,13 +295,20 @@ class Server:
             self._begin(client, message)
         elif do == "place.set":
             self._place(client, message)
+        elif do == "landmark.begin":
+            client.strayed = False
+            return self.puller.begin(client, message)
+        elif do == "landmark.set":
+            self._pull(client, message)
         elif do == "preset.set":
             if not session.move_preset(client, message):
                 self._stray(client)
-        elif do in ("drag.end", "preset.end", "place.end"):
+        elif do in ("drag.end", "preset.end", "place.end", "landmark.end"):
             cancel = checked_flag(message.get("cancel", False), "cancel")
             if not session.is_moved_by(client):
                 raise InputError(STRAYED)
+            if do == "landmark.end":
+                return self.puller.end(client, cancel)
             session.end_gesture(client, cancel)
         elif do == "undo":
             return session.undo()
@@ -334,6 +344,12 @@ class Server:
         if self.session.place(client, message["object"], message["matrix"]):
             client.sequence = checked_whole(message["seq"], "seq", 0, 2**32 - 1)
         else:
+            self._stray(client)
+
+    def _pull(self, client: Client, message: dict[str, Any]) -> None:
+        """A landmark is dragged."""
+        number = checked_whole(message["seq"], "seq", 0, 2**32 - 1)
+        if not self.puller.set(client, message, lambda: setattr(client, "sequence", number)):
             self._stray(client)
 
     async def _pick(self, message: dict[str, Any]) -> dict[str, int | None]:

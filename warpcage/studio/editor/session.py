@@ -195,7 +195,14 @@ class Session:
         if gesture is None or gesture.edit is None:
             raise InputError("no cage is being moved")
         edit = commands.slide(gesture.edit, gesture.chosen, message)
-        gesture.label = str(message["preset"])
+        return self.move_edit(owner, edit, str(message["preset"]))
+
+    def move_edit(self, owner: object, edit: Edit, label: str) -> bool:
+        """Take the edit of a gesture as it has become, and the label of its step; see `move`."""
+        gesture = self._gesture
+        if gesture is None or not self.is_moved_by(owner) or gesture.edit is None or gesture.edit.id != edit.id:
+            return False
+        gesture.label = label
         self._take(self.document.with_edit(edit))
         return True
 
@@ -249,7 +256,8 @@ class Session:
             self.history.push(SCRUB, self.document, looks=True)
             changed.add("history")
             self.notify(f"No key holds the pose that was left at {self.document.time:.2f} s. Undo goes back to it.")
-        slid = any(edit.sliders for edit in self.document.edits)  # pages show where sliders are
+        # pages show where sliders and landmarks are
+        slid = any(edit.sliders or edit.landmarks for edit in self.document.edits)
         self._take(timeline.document_at(self.document, time), changed, without=() if slid else {"edits"})
         return leaves
 
@@ -289,7 +297,12 @@ class Session:
         document = self.document
         if name == "edits":
             edits = document.edits_of(document.selection.object_id)
-            return [part_json(edit) | {"sliders": _sliders_json(edit.sliders)} for edit in edits]
+            return [
+                part_json(edit)
+                | {"sliders": _sliders_json(edit.sliders)}
+                | {"landmarks": [] if edit.landmarks is None else edit.landmarks.targets.tolist()}
+                for edit in edits
+            ]
         if name == "objects":
             return [self._object_section(one) for one in document.objects]
         if name == "timeline":
@@ -398,4 +411,5 @@ def _iso(moment: datetime.datetime) -> str:
 
 def _same(one: Document, two: Document) -> bool:
     """Whether two documents are equal in all that the history keeps."""
-    return all(same(getattr(one, part), getattr(two, part)) for part in PARTS if part != "view")
+    kept = all(same(getattr(one, part), getattr(two, part)) for part in PARTS if part != "view")
+    return kept and [edit.landmarks for edit in one.edits] == [edit.landmarks for edit in two.edits]

@@ -147,6 +147,17 @@ class Sliders:
     amounts: Mapping[str, float]  # by preset, in the order in which they act
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Places of an object and where a pose is to have them: drags go on from it as long as the edit has this pose."""
+
+    before: np.ndarray  # (v, 3) float64, the pose that counts as rigid, in the object's coordinates
+    posed: np.ndarray  # (v, 3) what became of it
+    places: np.ndarray  # (k, 3) at rest
+    targets: np.ndarray  # (k, 3) where the posed object is to have them
+    added: np.ndarray  # (k, 3) what the map of the pose adds to mean value weights there
+
+
 #: The number of the object that a session begins with: the field that it is of.
 MAIN = 0
 
@@ -196,11 +207,18 @@ class Edit:
         MAIN, _part(lambda value: checked_whole(value, "the number of an object", MAIN, MAX_ID)), since=2
     )
     moved_sliders: Sliders | None = dataclasses.field(default=None, compare=False)  # the last ones; not in files
+    pulled_landmarks: Landmarks | None = dataclasses.field(default=None, compare=False)  # the last ones; not in files
 
     @property
     def sliders(self) -> Sliders | None:
         """The sliders that the pose comes from, or None where something else has changed it since."""
         return self.moved_sliders if self.moved_sliders and self.moved_sliders.posed is self.posed else None
+
+    @property
+    def landmarks(self) -> Landmarks | None:
+        """The landmarks that the pose has, or None where something else has changed it since."""
+        found = self.pulled_landmarks
+        return found if found is not None and found.posed is self.posed and len(found.places) else None
 
     @property
     def rest_cage(self) -> Cage:

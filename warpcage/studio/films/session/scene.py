@@ -18,7 +18,7 @@ from ....core.memory import LRUCache
 from ....deform.deformer import Deformer
 from ....deform.stage import Stage
 from ....edits.edits import CageEdit
-from ....edits.place import seen_from
+from ....edits.place import Place, seen_from
 from ....errors import InputError
 from ....field.voxel_field import VoxelField
 from ....mesh.validity import require_usable
@@ -39,6 +39,9 @@ CLICK_ROWS = 4096
 #: Pixels of less opacity hide nothing.
 HIDING_ALPHA = 0.5
 
+#: A pixel of a picture, and the camera of the picture.
+Pixel = tuple[tuple[int, int], Camera]
+
 #: Pictures as the scene has them.
 PLAIN = Look()
 
@@ -50,7 +53,7 @@ def view_camera(view: View, width: int, height: int) -> Camera:
     return dataclasses.replace(looking, fx=focal, fy=focal)
 
 
-def clicked_pixel(view: View, across: float, down: float, aspect: float) -> tuple[tuple[int, int], Camera]:
+def clicked_pixel(view: View, across: float, down: float, aspect: float) -> Pixel:
     """The pixel of a click, and the camera that it is of; across, down: shares of a page's picture of this aspect."""
     width, height = round(CLICK_ROWS * aspect), CLICK_ROWS
     pixel = min(int(across * width), width - 1), min(int(down * height), height - 1)
@@ -140,15 +143,35 @@ class PosedScene:
         """The object that a click meets first, or None; across, down: shares of a picture of this aspect."""
         if self.stage is None:
             return MAIN
-        (x, y), looking = clicked_pixel(view, across, down, aspect)
-        pixels = dataclasses.replace(looking, cx=looking.cx - x, cy=looking.cy - y, width=1, height=1)
-        met = []
+        pixel, met = clicked_pixel(view, across, down, aspect), []
         for name, item in self.stage.items.items():
             place = item.places.at(0.0)
-            frame = item.scene_object.render(seen_from(place, pixels), background="transparent", supersampling=1)
-            if float(frame.alpha.mean()) >= HIDING_ALPHA:
-                met.append((float(frame.depth.mean()) * place.scale, int(name)))
+            depth = _depth_at(item.scene_object, place, pixel)
+            if depth is not None:
+                met.append((depth * place.scale, int(name)))
         return min(met)[1] if met else None
+
+    def surface_at(self, number: int, place: Place, pixel: Pixel) -> np.ndarray | None:
+        """(3,) where an object that is posed shows matter at a pixel, in its own coordinates; None: it does not."""
+        depth = _depth_at(self.posed(number), place, pixel)
+        if depth is None:
+            return None
+        one = seen_from(place, _one_pixel(pixel))
+        ray = one.rotation @ [(0.5 - one.cx) / one.fx, (0.5 - one.cy) / one.fy, 1.0]
+        return one.center + depth * ray / np.linalg.norm(ray)
+
+
+def _one_pixel(pixel: Pixel) -> Camera:
+    """The camera of a pixel alone."""
+    (x, y), looking = pixel
+    return dataclasses.replace(looking, cx=looking.cx - x, cy=looking.cy - y, width=1, height=1)
+
+
+def _depth_at(scene_object: AnyObject | Deformer, place: Place, pixel: Pixel) -> float | None:
+    """How far an object's matter is along the ray of a pixel, in its own units; None where it shows none."""
+    seen = seen_from(place, _one_pixel(pixel))
+    frame = scene_object.render(seen, background="transparent", supersampling=1)
+    return float(frame.depth.mean()) if float(frame.alpha.mean()) >= HIDING_ALPHA else None
 
 
 class PosedObject:

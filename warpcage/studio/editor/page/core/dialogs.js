@@ -165,6 +165,7 @@ const MOUSE = [
   ["Drag elsewhere", "Rectangle or lasso; Shift adds, Ctrl takes away"],
   ["Drag, with the brush", "Paint the selection; with Alt or Ctrl take away; [ and ] change the brush"],
   ["Drag, with the box", "A box cage around a part; a drag of a dot moves that side"],
+  ["Drag, with landmarks", "Take a place of the object along: the cage follows. A click pins a place, Delete deletes it"],
   ["Click, with the ruler", "The distance between two points"],
   ["Drag a vertex", "Move it, or the selection that it belongs to"],
   ["Right drag", "Orbit; with Shift pan, with Ctrl zoom. So do the middle button and Alt+drag"],

@@ -7,7 +7,7 @@ const KEPT = "warpcage.tools";
 export const STARTED_ANEW = "The editor was started anew: open the address it printed";
 
 const defaults = {
-  tool: "select", // select | move | rotate | scale | box | ruler
+  tool: "select", // select | move | rotate | scale | landmark | box | ruler
   pick: "rectangle", // rectangle | lasso | brush
   brush: 24, // radius of the brush, pixels
   finger: "orbit", // orbit | select: what a drag of one finger does

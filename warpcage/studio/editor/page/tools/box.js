@@ -228,7 +228,7 @@ register("tool.box", {
   },
 });
 register("tool.leave", {
-  label: "Leave the box or the ruler",
+  label: "Leave the box, the landmarks or the ruler",
   keys: ["Escape"],
   group: "Tools",
   enabled: () => pointerTools.has(store.tools.tool),

@@ -35,7 +35,7 @@ export function start() {
   const chip = el("div", { class: "chip", id: "brush-options" }, size.root);
   document.getElementById("tool-options").append(chip);
   const show = () => {
-    chip.hidden = !isBrush() || ["box", "ruler"].includes(store.tools.tool);
+    chip.hidden = !isBrush() || ["box", "landmark", "ruler"].includes(store.tools.tool);
     size.set(store.tools.brush);
   };
   store.follow(["tools"], show);

@@ -102,7 +102,7 @@ const placeOf = (event) => {
   return [event.clientX - box.left, event.clientY - box.top];
 };
 /** A place as shares of the picture across and down, and the picture's aspect. */
-function sharesOf([x, y]) {
+export function sharesOf([x, y]) {
   const { width, height } = canvas.getBoundingClientRect();
   return { across: x / width, down: y / height, aspect: width / height };
 }
