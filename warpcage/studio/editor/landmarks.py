@@ -197,8 +197,8 @@ class Puller:
 def _posable(document: Document, message: Message) -> Edit:
     """The edit of a message, whose cage can be posed by what is seen."""
     edit = document.edit(message["edit"])
-    if document.settings.mode == "rest":
-        raise InputError("landmarks are dragged in the mode Pose: the scene is shown at rest")
+    if document.settings.mode != "pose":
+        raise InputError("landmarks are dragged in the mode Pose: switch to it")
     if edit.kind == "remove":
         raise InputError(f"{edit.name} removes what is in its cage: there is nothing to drag")
     if not edit.visible or not document.scene_object(edit.object_id).visible:

@@ -20,7 +20,7 @@ const isOn = () => store.tools.tool === "landmark";
 
 /** The landmarks of the active edit: where they are, in the coordinates of its object. */
 const landmarks = () => {
-  const cage = C.activeCage();
+  const cage = store.sections.settings?.mode === "pose" ? C.activeCage() : null;
   return (cage?.visible && store.sections.edits?.find(({ id }) => id === cage.id)?.landmarks) || [];
 };
 
