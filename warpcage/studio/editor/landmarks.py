@@ -191,7 +191,8 @@ class Puller:
         posed = frozen_vertices(solved, len(edit.posed))
         held = dataclasses.replace(held, posed=posed, targets=targets, added=added)
         label = "drag a landmark" if pull.has_moved else pull.label
-        return self._session.move_edit(pull.owner, dataclasses.replace(edit, posed=posed, pulled_landmarks=held), label)
+        edit = dataclasses.replace(edit, posed=posed, pulled_landmarks=held)
+        return self._session.move_edit(pull.owner, edit, label, only_vertices=True)
 
 
 def _posable(document: Document, message: Message) -> Edit:

@@ -197,13 +197,15 @@ class Session:
         edit = commands.slide(gesture.edit, gesture.chosen, message)
         return self.move_edit(owner, edit, str(message["preset"]))
 
-    def move_edit(self, owner: object, edit: Edit, label: str) -> bool:
-        """Take the edit of a gesture as it has become, and the label of its step; see `move`."""
+    def move_edit(self, owner: object, edit: Edit, label: str, *, only_vertices: bool = False) -> bool:
+        """Take the edit of a gesture as it has become, and the label of its step; see `move`.
+        `only_vertices`: pages get these alone, and all else once the gesture ends."""
         gesture = self._gesture
         if gesture is None or not self.is_moved_by(owner) or gesture.edit is None or gesture.edit.id != edit.id:
             return False
         gesture.label = label
-        self._take(self.document.with_edit(edit))
+        document = self.document.with_edit(edit)
+        self._take(document, *(({"vertices"}, {"edits"}) if only_vertices else ()))
         return True
 
     def begin_placing(self, owner: object, number: int, label: str) -> None:
