@@ -6,6 +6,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "numbers": "number_of object_of weight_counts",
-        "posed": "camera_number_gradient canonical_points_vjp posed_as posed_vertices turned_camera",
+        "posed": "FrameOptions canonical_points_vjp posed_as posed_frame posed_frame_vjp posed_vertices",
     },
 )

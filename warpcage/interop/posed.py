@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import math
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,9 +19,12 @@ from ..core.devices import launch
 from ..deform.deformer import Deformer
 from ..errors import InputError
 from ..fitting.batches import ShardedWork, launch_shards, shard_count, sum_shards
+from ..gradients.frame import frame_gradient
 from ..kernels.edits.canonical_adjoint import propagate_canonical_points
 from ..render.scene import PosedScene
+from ..splats.splat_field import SplatField
 from ..view.camera import Camera
+from ..view.frame import PART_NAMES, view_background
 
 #: The last pose of each Deformer that was an array: to go back finds it in the buffers.
 _last: weakref.WeakKeyDictionary[Deformer[Any], list[Cage | None]] = weakref.WeakKeyDictionary()
@@ -37,9 +40,9 @@ class CanonicalSlopes:
 
 
 def posed_vertices(deformer: Deformer[Any]) -> np.ndarray:
-    """The vertices (v, 3) float64 of a Deformer's last pose, which must be of one edit on a lattice."""
-    edits = deformer.edits
-    if len(edits) != 1 or edits[0].remove or edits[0].falloff or edits[0].fragments or deformer.resolution is None:
+    """The vertices (v, 3) float64 of a Deformer's last pose, which must be of one edit, of voxels on a lattice."""
+    edits, is_exact = deformer.edits, deformer.resolution is None and not isinstance(deformer.field, SplatField)
+    if len(edits) != 1 or edits[0].remove or edits[0].falloff or edits[0].fragments or is_exact:
         raise InputError(
             "gradients are of a Deformer with a resolution and one edit that moves or copies, without falloff and "
             "fragments"
@@ -51,20 +54,18 @@ def posed_vertices(deformer: Deformer[Any]) -> np.ndarray:
 @contextlib.contextmanager
 def posed_as(deformer: Deformer[Any], vertices: np.ndarray) -> Iterator[None]:
     """A Deformer of one edit in a pose (v, 3), locked; its own pose is there again behind."""
+    posed_vertices(deformer)  # refuses others
     with deformer.lock:
         before = deformer.deformed
-        if before is None or not _is_pose(before, vertices):
-            last = _last.get(deformer)
-            if last is not None and _is_pose(last, vertices):
-                deformer.deformed = last
-            else:
-                deformer.pose(vertices)
-                assert deformer.deformed is not None
-                _last[deformer] = deformer.deformed
+        held = (before, _last.get(deformer))
+        cages = next((each for each in held if each is not None and _is_pose(each, vertices)), None)
+        if cages is None:
+            cages = _last[deformer] = deformer.posed(vertices).deformed
+        deformer.deformed = cages
         try:
             yield
         finally:
-            deformer.deformed = before if before is not None else deformer.deformed
+            deformer.deformed = before
 
 
 def _is_pose(cages: list[Cage | None], vertices: np.ndarray) -> bool:
@@ -103,6 +104,65 @@ def canonical_points_vjp(
         launch_shards([ShardedWork(propagate_canonical_points, len(x), inputs, shared)], shards, device)
         by_nodes = array_view(sum_shards(sums), wp.vec3, shape)
         return CanonicalSlopes(found[0], found[1], position_map.vertex_gradient(by_nodes)[0])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FrameOptions:
+    """What a frame is of, beside the pose."""
+
+    camera: Camera
+    change: np.ndarray | None  # (7,) of `turned_camera`
+    background: tuple[float, float, float]
+    step: float | None  # of the march, world units
+
+    @property
+    def view(self) -> Camera:
+        """The camera as it is changed."""
+        return self.camera if self.change is None else turned_camera(self.camera, self.change)
+
+
+def frame_color(deformer: Deformer[Any], background: Sequence[float] | None) -> tuple[float, float, float]:
+    """The colour behind a frame, the field's own where none is given."""
+    if background is None and getattr(deformer.field, "background_model", None) is not None:
+        raise InputError("gradients are of frames without surroundings: give the colour of a background")
+    red, green, blue = deformer.field.background if background is None else view_background(background)
+    return float(red), float(green), float(blue)
+
+
+def posed_frame(deformer: Deformer[Any], vertices: np.ndarray, options: FrameOptions) -> list[wp.array[Any]]:
+    """Colours, opacities and depths (h * w,) of a frame of a Deformer in a pose (v, 3)."""
+    with posed_as(deformer, vertices):
+        arrays = deformer.render(options.view, background=options.background, step=options.step).arrays
+    return [arrays[name] for name in PART_NAMES]
+
+
+def posed_frame_vjp(
+    deformer: Deformer[Any], vertices: np.ndarray, slopes: Sequence[Any], options: FrameOptions
+) -> tuple[wp.array[Any], np.ndarray | None]:
+    """Slopes of a number by the posed vertices, (v,) vec3 on the Deformer's device, and by the camera's change (7,)
+    where there is one, from those by what `posed_frame` returns, (h, w, 3) or (h, w) each."""
+    with posed_as(deformer, vertices):
+        found = frame_gradient(
+            deformer,
+            options.view,
+            slopes[0],
+            alpha_gradient=slopes[1],
+            depth_gradient=slopes[2],
+            by_vertices=True,
+            by_camera=options.change is not None,
+            background=options.background,
+            step=options.step,
+        )
+    assert found.vertices is not None
+    if options.change is None or found.camera is None:
+        return found.vertices, None
+    return found.vertices, camera_number_gradient(options.change, found.camera)
+
+
+def require_camera_numbers(shape: Sequence[int]) -> None:
+    """Refuse arrays of another shape than `turned_camera` takes."""
+    if tuple(shape) != (7,):
+        raise InputError(f"camera_change must be (7,), got {tuple(shape)}")
 
 
 def turned_camera(camera: Camera, numbers: np.ndarray) -> Camera:

@@ -4,6 +4,6 @@ from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
-    {"coordinates": "deform_points green_coordinates mean_value_coordinates", "posed": "to_canonical"},
+    {"coordinates": "deform_points green_coordinates mean_value_coordinates", "posed": "render to_canonical"},
     extra="jax",
 )

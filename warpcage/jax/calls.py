@@ -30,7 +30,7 @@ def float_rows(array: Any, name: str) -> Any:
 
 
 def host(array: wp.array[Any]) -> np.ndarray:
-    """Vertices (v,) of vec3 as NumPy (v, 3), float64."""
+    """Small arrays as NumPy, float64; (v, 3) of vertices (v,) vec3."""
     return array.numpy().astype(np.float64)
 
 

@@ -8,10 +8,17 @@ import torch
 import warp as wp
 
 from ..deform.deformer import Deformer
-from ..errors import InputError
-from ..gradients.frame import frame_gradient
 from ..interop.numbers import object_of
-from ..interop.posed import camera_number_gradient, canonical_points_vjp, posed_as, posed_vertices, turned_camera
+from ..interop.posed import (
+    FrameOptions,
+    canonical_points_vjp,
+    frame_color,
+    posed_as,
+    posed_frame,
+    posed_frame_vjp,
+    posed_vertices,
+    require_camera_numbers,
+)
 from ..view.camera import Camera
 from .operators import constant_number, host, in_order, like, single, tensor_of
 
@@ -55,7 +62,7 @@ def render(
     vertices: torch.Tensor | None = None,
     *,
     camera_change: torch.Tensor | None = None,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    background: tuple[float, float, float] | None = None,
     step: float | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """The view of a camera of a deformed scene, with gradients by the pose and by the camera.
@@ -64,14 +71,14 @@ def render(
     Gradients.
 
     Args:
-        deformer: A Deformer of voxels and of one edit with a resolution, without falloff and fragments. A compiled
-            function holds it, and the camera, for constants.
+        deformer: A Deformer of splats, or of voxels with a resolution, and of one edit without falloff and fragments. A
+            compiled function holds it, and the camera, for constants.
         camera: The camera, one ray a pixel.
         vertices: (v, 3) of the posed cage, world units, on any device. None is the last pose at the time of the call.
         camera_change: (7,) turns about the camera's axes, radians, shifts along them, world units, and the logarithm of
             a factor of its focal length. None leaves the camera as it is; given, gradients pass to them.
-        background: Red, green and blue behind the scene.
-        step: March step, world units. None is the field's.
+        background: Red, green and blue behind the scene. None is the field's own colour.
+        step: March step, world units, for voxels. None is the field's.
 
     Returns:
         Colours (h, w, 3), opacities (h, w) and depths (h, w), float32, on the Deformer's device.
@@ -82,8 +89,8 @@ def render(
     number = constant_number(deformer, Deformer, "render needs")
     view = constant_number(camera, Camera, "render needs")
     pose = _last_pose(number) if vertices is None else vertices
-    red, green, blue = background
-    return _frame(pose, camera_change, number, view, [float(red), float(green), float(blue)], step)
+    color = [] if background is None else [float(each) for each in background]
+    return _frame(pose, camera_change, number, view, color, step)
 
 
 @torch.library.custom_op("warpcage::posed_vertices", mutates_args=())
@@ -96,13 +103,6 @@ def _(deformer: int) -> Any:
     return torch.empty(posed_vertices(object_of(deformer, Deformer)).shape, dtype=torch.float64, device="cpu")
 
 
-def _posed(number: int, pose: torch.Tensor) -> Any:
-    """A Deformer and the context in which it has a pose."""
-    deformer = object_of(number, Deformer)
-    posed_vertices(deformer)  # refuses others
-    return deformer, posed_as(deformer, host(pose))
-
-
 @torch.library.custom_op("warpcage::to_canonical", mutates_args=())
 def _canonical(
     points: torch.Tensor,
@@ -112,8 +112,8 @@ def _canonical(
     step: Optional[float],  # noqa: UP045 (torch reads the schema of an operator from it)
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     with in_order(points):
-        owner, pose = _posed(deformer, vertices)
-        with pose:
+        owner = object_of(deformer, Deformer)
+        with posed_as(owner, host(vertices)):
             return owner.to_canonical(points.detach(), directions.detach(), step=step)
 
 
@@ -136,8 +136,8 @@ def _canonical_vjp(
     by_vertices: bool,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     with in_order(points):
-        owner, pose = _posed(deformer, vertices)
-        with pose:
+        owner = object_of(deformer, Deformer)
+        with posed_as(owner, host(vertices)):
             slopes, regions = (by_points, by_directions), wp.from_torch(region)
             found = canonical_points_vjp(owner, points, directions, regions, slopes, step, by_vertices=by_vertices)
         by_pose = points.new_zeros((0, 3)) if found.vertices is None else tensor_of(found.vertices)
@@ -177,12 +177,11 @@ def _frame(
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     owner = object_of(deformer, Deformer)
     with in_order(_place(owner)):
-        view, (owner, pose) = _camera(camera, camera_change), _posed(deformer, vertices)
-        with pose:
-            arrays = owner.render(view, background=tuple(background), step=step).arrays
-            rgb, alpha, depth = (torch.from_dlpack(arrays[name]) for name in ("rgb", "alpha", "depth"))
-            shape = view.height, view.width
-            return rgb.reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape)
+        options = _options(owner, camera, camera_change, background, step)
+        arrays = posed_frame(owner, host(vertices), options)
+        rgb, alpha, depth = (torch.from_dlpack(array) for array in arrays)
+        shape = options.camera.height, options.camera.width
+        return rgb.reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape)
 
 
 @_frame.register_fake
@@ -204,25 +203,12 @@ def _frame_vjp(
     background: list[float],
     step: Optional[float],  # noqa: UP045
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    by_camera = camera_change is not None
     with in_order(by_rgb):
-        view, (owner, pose) = _camera(camera, camera_change), _posed(deformer, vertices)
-        with pose:
-            found = frame_gradient(
-                owner,
-                view,
-                by_rgb.contiguous(),
-                alpha_gradient=by_alpha.contiguous(),
-                depth_gradient=by_depth.contiguous(),
-                by_vertices=True,
-                by_camera=by_camera,
-                background=tuple(background),
-                step=step,
-            )
-        if camera_change is None or found.camera is None:
-            return tensor_of(found.vertices), by_rgb.new_zeros(0)
-        by_change = torch.from_numpy(camera_number_gradient(host(camera_change), found.camera))
-        return tensor_of(found.vertices), by_change.to(by_rgb)
+        owner, slopes = object_of(deformer, Deformer), [each.contiguous() for each in (by_rgb, by_alpha, by_depth)]
+        options = _options(owner, camera, camera_change, background, step)
+        by_pose, by_change = posed_frame_vjp(owner, host(vertices), slopes, options)
+        empty = by_rgb.new_zeros(0)
+        return tensor_of(by_pose), empty if by_change is None else torch.from_numpy(by_change).to(by_rgb)
 
 
 @_frame_vjp.register_fake
@@ -244,13 +230,14 @@ def _propagate_frame(ctx: Any, *slopes: Any) -> Any:
 _frame.register_autograd(_propagate_frame, setup_context=_keep_frame)
 
 
-def _camera(number: int, change: torch.Tensor | None) -> Camera:
-    camera = object_of(number, Camera)
-    if change is None:
-        return camera
-    if change.shape != (7,):
-        raise InputError(f"camera_change must be (7,), got {tuple(change.shape)}")
-    return turned_camera(camera, host(change))
+def _options(
+    deformer: Deformer[Any], camera: int, change: torch.Tensor | None, background: list[float], step: float | None
+) -> FrameOptions:
+    """What a frame is of."""
+    if change is not None:
+        require_camera_numbers(change.shape)
+    numbers = None if change is None else host(change)
+    return FrameOptions(object_of(camera, Camera), numbers, frame_color(deformer, background or None), step)
 
 
 def _place(deformer: Deformer[Any]) -> torch.Tensor:

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
-from fields import BOX, rotation, shiny_field
+from fields import BOX, rotation, shiny_field, surrounded_ball, view
 from refusals import refused
+from splat_scenes import splats_in_box
 
 import warpcage
 from warpcage import Cage, Deformer
+from warpcage.gradients import frame_gradient
 
 jax = pytest.importorskip("jax", reason="JAX is not installed: pip install 'warpcage[jax]'")
 from warpcage import jax as passing
@@ -141,3 +143,83 @@ def test_a_rigid_pose_turns_gradients_of_canonical_points():
     np.testing.assert_allclose(gradients[1], np.where(mapped, turned, by_directions), atol=2e-3)
     np.testing.assert_allclose(gradients[2].sum(axis=0), -(mapped * (by_points @ turn.T)).sum(axis=0), atol=5e-2)
     refused(lambda: passing.to_canonical(deformer, points, directions[:4], vertices), "as many directions")
+
+
+BENT = BOX.bend(30, axis="x", towards="z")
+BACKGROUND = (0.2, 0.3, 0.4)
+
+
+@pytest.fixture
+def placed(device):
+    """A device, which JAX's arrays are on too."""
+    try:
+        theirs = jax.devices("cpu" if device == "cpu" else "gpu")[0]
+    except RuntimeError:
+        pytest.skip("this JAX has no CUDA")
+    with jax.default_device(theirs):
+        yield device
+
+
+def deformers(device):
+    """Of voxels and of splats."""
+    for field, kind in ((shiny_field(device), "mean_value"), (splats_in_box(device, 60), "green")):
+        yield Deformer(field, BOX, coordinates=kind, resolution=32, device=device)
+
+
+def test_frames_and_their_gradients_are_those_of_the_package(placed):
+    camera, pose = view(size=24), jax.numpy.asarray(BENT.vertices, dtype="float32")
+    random = np.random.default_rng(6)
+    slopes = [random.normal(size=shape).astype(np.float32) for shape in ((24, 24, 3), (24, 24), (24, 24))]
+    for deformer in deformers(placed):
+        before = deformer.deformed
+        draw = jax.jit(lambda pose, deformer=deformer: passing.render(deformer, camera, pose))
+        found, back = jax.vjp(draw, pose)
+        gradient = back(tuple(map(jax.numpy.asarray, slopes)))[0]
+        assert deformer.deformed is before
+        deformer.pose(np.asarray(pose))
+        frame = deformer.render(camera)
+        for name, part in zip(("rgb", "alpha", "depth"), found, strict=True):
+            np.testing.assert_array_equal(part, getattr(frame, name))
+        others = dict(zip(("alpha_gradient", "depth_gradient"), slopes[1:], strict=True))
+        expected = frame_gradient(deformer, camera, slopes[0], by_vertices=True, **others).vertices.numpy()
+        assert np.linalg.norm(gradient - expected) < 1e-4 * np.linalg.norm(expected)
+
+
+def test_frames_pass_gradients_to_pose_and_camera(placed):
+    """A loss of a frame, as its pose grows and its camera moves: differences to a few hundredths."""
+    deformer = Deformer(shiny_field(placed), BOX, coordinates="mean_value", resolution=48, device=placed)
+    camera, random = view(size=32), np.random.default_rng(7)
+    slopes = random.normal(size=(32, 32, 3)).cumsum(axis=0).cumsum(axis=1).astype(np.float32) / 100
+
+    @jax.jit
+    def loss(vertices, change):
+        drawn = passing.render(deformer, camera, vertices, camera_change=change, background=BACKGROUND)
+        return (drawn[0] * slopes).sum() + (drawn[1] ** 2).sum()
+
+    vertices = jax.numpy.asarray(BENT.vertices, dtype="float32")
+    change = jax.numpy.asarray([0.3, -0.2, 0.25, 0.1, 0.05, -0.1, 0.1])
+    gradients = jax.grad(loss, argnums=(0, 1))(vertices, change)
+    directions = [(vertices - vertices.mean(axis=0), jax.numpy.zeros(7))]
+    directions += [(jax.numpy.zeros_like(vertices), each) for each in jax.numpy.eye(7)]
+    pairs = []
+    for one, other in directions:
+        ends = [float(loss(vertices + side * one, change + side * other)) for side in (2e-3, -2e-3)]
+        along = (gradients[0] * one).sum() + (gradients[1] * other).sum()
+        pairs.append((float(along), (ends[0] - ends[1]) / 4e-3))
+    found, expected = np.array(pairs).T
+    assert np.linalg.norm(found - expected) < 0.05 * np.linalg.norm(expected), (found, expected)
+    with pytest.raises(ValueError, match="cannot be differentiated"):
+        jax.grad(lambda pose: jax.grad(loss)(pose, change).sum())(vertices)
+
+
+def test_frames_that_have_no_gradient_are_refused():
+    field, camera = shiny_field("cpu"), view(size=8)
+    deformer = Deformer(field, BOX, coordinates="mean_value", resolution=16, device="cpu")
+    refused(lambda: passing.render(deformer, camera, BENT.vertices, camera_change=np.zeros(6)), "(7,)")
+    refused(lambda: passing.render(deformer, camera, BENT.vertices[:5]), "the pose must be (26, 3)", "(5, 3)")
+    refused(lambda: passing.render(deformer, camera, BENT.vertices, background=(1, 2)), "background")
+    refused(lambda: passing.render(deformer, field, BENT.vertices), "a Camera, got VoxelField")
+    around = Deformer(surrounded_ball("cpu"), BOX, coordinates="mean_value", resolution=16)
+    refused(lambda: passing.render(around, camera, BENT.vertices), "surroundings", "colour")
+    exact = Deformer(field, BOX, coordinates="mean_value", resolution=None, device="cpu")
+    refused(lambda: passing.render(exact, camera, BENT.vertices), "one edit")

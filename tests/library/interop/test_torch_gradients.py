@@ -5,11 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from fields import BOX, rotation, shiny_field, view
+from fields import BOX, rotation, shiny_field, surrounded_ball, view
 from refusals import refused
+from splat_scenes import splats_in_box
 
 import warpcage
 from warpcage import Cage, CageEdit, Deformer
+from warpcage.gradients import frame_gradient
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'warpcage[torch]'")
 from warpcage import torch as passing
@@ -255,6 +257,20 @@ def test_frames_pass_gradients_to_pose_and_camera(device):
     assert np.linalg.norm(found - expected) < 0.05 * np.linalg.norm(expected), (found, expected)
 
 
+def test_frames_of_splats_pass_the_gradients_of_the_package(device):
+    deformer = Deformer(splats_in_box(device, 60), BOX, coordinates="green", device=device).pose(BENT)
+    camera, vertices = view(size=24), tensor(BENT.vertices, grad=True)
+    found = passing.render(deformer, camera, vertices)
+    frame = deformer.render(camera)
+    for name, part in zip(("rgb", "alpha", "depth"), found, strict=True):
+        np.testing.assert_array_equal(part.detach().cpu().numpy(), getattr(frame, name))
+    slopes = [torch.randn_like(part) for part in found]
+    torch.autograd.backward(found, slopes)
+    others = {"alpha_gradient": slopes[1], "depth_gradient": slopes[2]}
+    expected = frame_gradient(deformer, camera, slopes[0], by_vertices=True, **others).vertices.numpy()
+    assert np.linalg.norm(vertices.grad.numpy() - expected) < 1e-4 * np.linalg.norm(expected)
+
+
 def test_the_pose_of_the_deformer_stays(device):
     deformer = bent_deformer("mean_value", device)
     points, directions = spread(device, 50)
@@ -279,6 +295,8 @@ def test_what_has_no_gradient_is_refused(device):
     refused(lambda: passing.to_canonical(field, points, directions), "a Deformer, got VoxelField")
     deformer, camera = bent_deformer("mean_value", device, 16), view(size=8)
     refused(lambda: passing.render(deformer, camera, camera_change=torch.zeros(6)), "(7,)")
+    around = Deformer(surrounded_ball(device), BOX, coordinates="mean_value", resolution=16)
+    refused(lambda: passing.render(around, camera), "surroundings", "colour")
     posed = points.clone().requires_grad_()
     refused(lambda: warpcage.deform_points(posed, BOX, BENT), "warpcage.torch", "deform_points", "detach")
 
