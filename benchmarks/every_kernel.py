@@ -191,6 +191,9 @@ def coordinates(device) -> None:
         deform_points_vjp(points, CAGE, POSE, points, kind)
     rows = [wp.zeros((len(points), count), dtype=float, device=device) for count in (len(vertices), len(faces))]
     coordinates_vjp(points, CAGE, rows[0])
+    deform_points_vjp(points, QUADS, QUADS.bend(40), points)
+    by_quads = wp.zeros((len(points), len(QUADS.vertices)), dtype=float, device=device)
+    coordinates_vjp(points, QUADS, by_quads)
     coordinates_vjp(points, CAGE, (rows[0], rows[1]), "green")
     for kind in ("harmonic", "mean_value"):
         PositionMap(fine, coordinates=kind, resolution=12, device=device).pose(fine.twist(50)).pose(fine.bend(60))

@@ -28,7 +28,7 @@ from .mean_value import FLAT, SNAP, FaceEdge, clear_row, face_edge, has_cancelle
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
 
-forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.vec2d, wp.vec3d), (wp.float64, wp.vec3d))
+forward_only = forward_only_in(__name__, (wp.vec4, wp.vec3), (wp.vec2d, wp.vec3d), (wp.float64, wp.vec3d))
 
 #: Patches whose middle is farther than this, in distances from there to their farthest corner, take 3 x 3 nodes.
 FAR = wp.constant(2.7)
@@ -178,10 +178,10 @@ def asinh(x: float):
 
 
 @wp.func
-def sinh_panels(center: wp.float64, scale: wp.float64, longest: float):
+def sinh_panels(center: wp.float64, scale: wp.float64, longest: float, farthest: float):
     # float32 will do for the ends of panels: what is left out or counted twice there is 1e-7 of the integral
-    begin = wp.max(-asinh(float(center / scale)), -END)
-    end = wp.min(asinh(float((_ONE - center) / scale)), END)
+    begin = wp.max(-asinh(float(center / scale)), -farthest)
+    end = wp.min(asinh(float((_ONE - center) / scale)), farthest)
     panels = Panels()
     panels.count = int(wp.ceil((end - begin) / longest))
     half = 0.5 * (end - begin) / float(panels.count)
@@ -216,8 +216,8 @@ def null_integral(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, s: wp.vec3d, n: wp.vec4
     """G of the patch p, q, r, s with null vector n."""
     center = rule.center
     scale = rule.scale
-    along = sinh_panels(center[0], scale[0], rule.longest)
-    across = sinh_panels(center[1], scale[1], rule.longest)
+    along = sinh_panels(center[0], scale[0], rule.longest, END)
+    across = sinh_panels(center[1], scale[1], rule.longest, END)
     inner_back = _ONE / along.inner
     outer_back = _ONE / along.outer
     step_back = _ONE / along.step
@@ -439,7 +439,7 @@ def quad_position_in_double(
     targets: wp.array(dtype=wp.vec3),
     size: float,
 ):
-    """`quad_mean_value_position` of a point that is not on the cage, in float64."""
+    """`quad_mean_value_point` of a point that is not on the cage, in float64."""
     total = _ZERO
     position = wp.vec3d(_ZERO, _ZERO, _ZERO)
     f = int(0)
@@ -450,11 +450,12 @@ def quad_position_in_double(
         for k in range(4):
             position += w[k] * wp.vec3d(targets[quad[k]])
         f += 1
-    return forward_only(wp.vec3(position * wp.where(total == _ZERO, _ZERO, _ONE / total)), x)
+    position = position * wp.where(total == _ZERO, _ZERO, _ONE / total)
+    return forward_only(wp.vec4(float(position[0]), float(position[1]), float(position[2]), float(total)), x)
 
 
 @wp.func
-def quad_mean_value_position(
+def quad_mean_value_point(
     x: wp.vec3,
     vertices: wp.array(dtype=wp.vec3),
     quads: wp.array(dtype=wp.vec4i),
@@ -462,7 +463,8 @@ def quad_mean_value_position(
     targets: wp.array(dtype=wp.vec3),
     size: float,
 ):
-    """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage. planes: see prepare_quads."""
+    """quad_mean_value_position, and the sum of the weights before they are divided by it: 0 where the point lies on the
+    cage."""
     total = float(0.0)
     position = wp.vec3(0.0, 0.0, 0.0)
     queue = Queue()  # patches for float64, done last: the points of a warp rarely meet theirs at the same patch
@@ -509,13 +511,28 @@ def quad_mean_value_position(
                 w[0] * targets[quad[0]] + w[1] * targets[quad[1]] + w[2] * targets[quad[2]] + w[3] * targets[quad[3]]
             )
             if near.touching == 1:
-                return forward_only(along, x)
+                return forward_only(wp.vec4(along[0], along[1], along[2], 0.0), x)
             total += w[0] + w[1] + w[2] + w[3]
             position += along
     position = position * wp.where(total == 0.0, 0.0, 1.0 / total)
+    point = wp.vec4(position[0], position[1], position[2], total)
     if has_cancelled(total, size):
-        position = quad_position_in_double(x, vertices, quads, targets, size)
-    return forward_only(position, x)
+        point = quad_position_in_double(x, vertices, quads, targets, size)
+    return forward_only(point, x)
+
+
+@wp.func
+def quad_mean_value_position(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    quads: wp.array(dtype=wp.vec4i),
+    planes: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    size: float,
+):
+    """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage. planes: see prepare_quads."""
+    point = quad_mean_value_point(x, vertices, quads, planes, targets, size)
+    return wp.vec3(point[0], point[1], point[2])
 
 
 @wp.kernel(launch_bounds=(128, 5))

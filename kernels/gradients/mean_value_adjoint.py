@@ -12,6 +12,8 @@
 # the other: points without a slope cost nothing. Each part of the points has sums of its own (parts, f, 3), for each
 # corner.
 
+from typing import Any
+
 import warp as wp
 
 from ..coordinates.face_slopes import mean_value_slopes, off_the_plane
@@ -163,7 +165,7 @@ def corner_slopes(a: wp.vec3, b: wp.vec3, c: wp.vec3, cotangents: wp.vec3, total
 
 
 @wp.func
-def corner_values(face: wp.vec3i, targets: wp.array(dtype=wp.vec3), rows: wp.array2d(dtype=float), n: int, k: int):
+def corner_values(face: Any, targets: wp.array(dtype=wp.vec3), rows: wp.array2d(dtype=float), n: int, k: int):
     """What a corner's weight multiplies: its target, or its entry of the point's row."""
     if rows.shape[0] > 0:
         return wp.vec3(rows[n, face[k]], 0.0, 0.0)

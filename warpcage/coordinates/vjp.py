@@ -18,9 +18,11 @@ from ..kernels.gradients.green_adjoint import slope_green_points
 from ..kernels.gradients.maximum_likelihood_adjoint import slope_likely_points
 from ..kernels.gradients.mean_value_adjoint import slope_mean_value_points
 from ..kernels.gradients.points import propagate_points
+from ..kernels.gradients.quad_mean_value_adjoint import slope_quad_points
 from ..lattice.corner_sums import CornerSums
 from ..mesh.match import posed_mesh
 from ..mesh.mesh import ClosedMesh
+from ..mesh.surface import merge_rows
 from ..mesh.validity import require_usable
 from .coordinates import LocalPoints, cage_arrays, checked_points, posed_on_lattice, stretched_normals
 
@@ -54,7 +56,7 @@ def deform_points_vjp(
         rest: The cage around them.
         deformed: The posed cage, or its vertices (v, 3), world units.
         slopes: (n, 3) gradient by the moved points, per world unit; points without coordinates count for nothing.
-        coordinates: "mean_value" (of triangles), "green", "maximum_likelihood" or "harmonic".
+        coordinates: "mean_value", "green", "maximum_likelihood" or "harmonic".
         device: As for `deform_points`.
         outside: As for `deform_points`.
 
@@ -62,9 +64,9 @@ def deform_points_vjp(
         Gradients by the points, the cage at rest and the posed cage.
 
     Raises:
-        ValueError: As `deform_points`, for slopes of another shape, and for kinds and faces without gradients.
+        ValueError: As `deform_points`, for slopes of another shape, and for kinds without gradients.
     """
-    kind = _with_adjoint(coordinate_kind(coordinates), rest)
+    kind = _with_adjoint(coordinate_kind(coordinates))
     local, lost, surface = checked_points(kind, points, rest, device, outside)
     target = posed_mesh(rest, deformed, "the deformed cage must be")
     if not kind.is_closed_form:
@@ -81,7 +83,7 @@ def deform_points_vjp(
     center = target.bounds.mean(axis=0)
     targets = wp.array(target.vertices - center, dtype=wp.vec3, device=local.device)
     vertices, _ = cage_arrays(surface, local)
-    sums, by_points = CornerSums(surface, local.device), empty_array(local.count, wp.vec3, local.device)
+    sums, by_points = _corner_sums(kind, surface, local), empty_array(local.count, wp.vec3, local.device)
     if kind.has_face_weights:
         normals = surface.size * stretched_normals(surface, target)
         normals = wp.array(normals, dtype=wp.vec3, device=local.device)
@@ -94,7 +96,7 @@ def deform_points_vjp(
     else:
         pulled = sums.add_mean_value(local.points, by_moved, vertices, targets, 1.0)
         inputs = [pulled, vertices, sums.faces, targets, sums.no_rows, 1.0]
-        _launch(slope_mean_value_points, local, sums, inputs, by_points)
+        _launch(slope_quad_points if sums.is_quads else slope_mean_value_points, local, sums, inputs, by_points)
     _scale(by_points, 1.0 / surface.size)
     return PointSlopes(by_points, *sums.gathered((1.0 / surface.size, 1.0)))
 
@@ -112,7 +114,7 @@ def coordinates_vjp(
 
     Args:
         points: (n, 3), world units, as for the functions of weights.
-        cage: The cage of triangles around them, of v vertices and f faces.
+        cage: The cage around them, of v vertices and f faces; of triangles, for mean value coordinates of any polygons.
         slopes: (n, v) gradient by the weights, a Warp array of float32 on the device; two, (n, v) and (n, f), for Green
             coordinates. Points without coordinates count for nothing.
         coordinates: "mean_value", "green" or "maximum_likelihood".
@@ -125,19 +127,20 @@ def coordinates_vjp(
     Raises:
         ValueError: As the functions of weights, for slopes of another shape, and for kinds and faces without gradients.
     """
-    kind = _with_adjoint(coordinate_kind(coordinates), cage)
-    if not kind.is_closed_form or cage.operator is not None or cage.refined(kind.face_cells).operator is not None:
+    kind = _with_adjoint(coordinate_kind(coordinates))
+    has_rows = kind.map_quads is not None or cage.refined(kind.face_cells).operator is None  # one a vertex of the cage
+    if not kind.is_closed_form or cage.operator is not None or not has_rows:
         raise InputError(
             f"no gradient passes through weights of {kind.name} coordinates and these faces: take deform_points_vjp"
         )
     local, lost, surface = checked_points(kind, points, cage, device, outside)
     vertices, _ = cage_arrays(surface, local)
-    sums, by_points = CornerSums(surface, local.device), empty_array(local.count, wp.vec3, local.device)
+    sums, by_points = _corner_sums(kind, surface, local), empty_array(local.count, wp.vec3, local.device)
     rows = list(slopes) if isinstance(slopes, tuple) else [slopes]
     for each in rows:
         if not isinstance(each, wp.array) or each.dtype is not wp.float32:
             raise InputError(f"slopes by weights must be Warp arrays of float32, got {shown(each)}")
-    widths = [len(surface.vertices)] + [len(surface.faces)] * kind.has_face_weights
+    widths = [surface.own_count] + [len(surface.faces)] * kind.has_face_weights
     if [tuple(each.shape) for each in rows] != [(local.count, width) for width in widths]:
         raise InputError(
             f"slopes by weights must be {' and '.join(str((local.count, width)) for width in widths)}, got "
@@ -158,25 +161,32 @@ def coordinates_vjp(
         likely = sums.add_maximum_likelihood(local.points, sums.no_vectors, vertices, vertices, 1.0, rows[0])
         _launch(slope_likely_points, local, sums, [likely, vertices, sums.faces, vertices, rows[0], 1.0], by_points)
     else:
-        weights = empty_array(rows[0].shape, wp.float32, local.device)
-        inputs = [local.points, vertices, sums.faces, 1.0]
-        launch(kind.load("weigh_points"), local.count, inputs, [weights], device=local.device, work=sums.faces.size)
-        pulled = sums.add_mean_value(local.points, rows[0], vertices, vertices, 1.0, weights)
-        inputs = [pulled, vertices, sums.faces, vertices, rows[0], 1.0]
-        _launch(slope_mean_value_points, local, sums, inputs, by_points)
+        of_surface = rows[0]
+        if surface.operator is not None:
+            of_surface = empty_array((local.count, vertices.size), wp.float32, local.device)
+            merge_rows(rows[0].transpose([1, 0]), surface.operator.T, of_surface.transpose([1, 0]))
+        weights = empty_array(of_surface.shape, wp.float32, local.device)
+        inputs, weigh = [local.points, vertices, sums.faces, 1.0], "weigh_quads" if sums.is_quads else "weigh_points"
+        launch(kind.load(weigh), local.count, inputs, [weights], device=local.device, work=sums.faces.size)
+        pulled = sums.add_mean_value(local.points, of_surface, vertices, vertices, 1.0, weights)
+        inputs = [pulled, vertices, sums.faces, vertices, of_surface, 1.0]
+        _launch(slope_quad_points if sums.is_quads else slope_mean_value_points, local, sums, inputs, by_points)
     _scale(by_points, 1.0 / surface.size)
     return PointSlopes(by_points, sums.gathered((1.0 / surface.size, 1.0))[0])
 
 
-def _with_adjoint(kind: CoordinateKind, cage: ClosedMesh) -> CoordinateKind:
-    """The kind, which has slopes by the faces of this cage."""
+def _with_adjoint(kind: CoordinateKind) -> CoordinateKind:
+    """The kind, which has slopes."""
     if not kind.has_gradients:
         raise InputError(
             f"no gradient passes through {kind.name} coordinates: take {listed(names_where('has_gradients'))}"
         )
-    if kind.map_quads is not None and cage.refined(kind.face_cells).quads is not None:
-        raise InputError(f"no gradient passes through {kind.name} coordinates of quads: cut the faces into triangles")
     return kind
+
+
+def _corner_sums(kind: CoordinateKind, surface: ClosedMesh, local: LocalPoints) -> CornerSums:
+    """Sums for the corners that the kind weighs, of bilinear patches or of triangles."""
+    return CornerSums(surface, local.device, surface.quads if kind.map_quads else None)
 
 
 def _slopes_on_lattice(

@@ -58,7 +58,7 @@ def deform_points(
 def mean_value_coordinates(
     points: Any, cage: ClosedMesh, *, vertices: Any = None, outside: str = "extend"
 ) -> jax.Array:
-    """Mean value coordinates of points in a cage of triangles, with gradients by points and cage.
+    """Mean value coordinates of points in a cage, with gradients by points and cage.
 
     Args:
         points: (n, 3) of JAX, world units; the work is done on their device, in single floats.

@@ -11,7 +11,8 @@ from ..kernels.gradients.corners import gather_corners
 from ..kernels.gradients.green_adjoint import place_off_cage, slope_stretched_normals, sum_green_corners
 from ..kernels.gradients.maximum_likelihood_adjoint import LikelyPoints, pull_likely_points, sum_likely_corners
 from ..kernels.gradients.mean_value_adjoint import PulledPoints, pull_positions, pull_weights, sum_mean_value_corners
-from ..mesh.mesh import ClosedMesh, prepared_fans
+from ..kernels.gradients.quad_mean_value_adjoint import pull_quad_positions, pull_quad_weights, sum_quad_corners
+from ..mesh.mesh import ClosedMesh, prepared_fans, prepared_quads
 
 #: Parts that points are cut into, each with sums of its own: on a CPU, which adds them up in the same order whatever
 #: threads it has, and items of a launch on CUDA, of all faces together.
@@ -19,19 +20,22 @@ CPU_PARTS, CUDA_ITEMS = 32, 1 << 16
 
 
 class CornerSums:
-    """Sums over parts of the points, for each corner of a face of a cage's triangles."""
+    """Sums over parts of the points, for each corner of a face of a cage's triangles, or of its bilinear patches."""
 
-    def __init__(self, cage: ClosedMesh, device: wp.Device):
-        self.cage, self.device = cage, device
-        self.faces = wp.array(cage.faces, dtype=wp.vec3i, device=device)
+    def __init__(self, cage: ClosedMesh, device: wp.Device, quads: np.ndarray | None = None):
+        self.cage, self.device, self.is_quads = cage, device, quads is not None
+        corners = cage.faces if quads is None else quads
+        self.faces = wp.array(corners, dtype=wp.vec3i if quads is None else wp.vec4i, device=device)
         self.fan_faces = wp.array(cage.topology.fans.faces, dtype=wp.vec3i, device=device)
         self.parts = CPU_PARTS if device.is_cpu else max(8, CUDA_ITEMS // self.faces.size)
-        shape = (self.parts, self.faces.size, 3)
+        shape = (self.parts, *corners.shape)
         self.no_rows, self.no_vectors = empty_array((0, 0), wp.float32, device), empty_array(0, wp.vec3, device)
         self.arrays = [
             wp.zeros(shape, dtype=wp.vec3, device=device) for _ in range(2)
         ]  # by the cage, and by its targets
-        self._starts, self._corners, self._shares = (wp.array(each, device=device) for each in _corner_shares(cage))
+        self._starts, self._corners, self._shares = (
+            wp.array(each, device=device) for each in _corner_shares(cage, corners)
+        )
 
     def clear(self) -> None:
         """Launch what sets the sums to zero."""
@@ -52,17 +56,19 @@ class CornerSums:
         pulled = PulledPoints()
         pulled.places, pulled.pulls, pulled.positions = (empty_array(points.size, wp.vec3, self.device) for _ in "ppp")
         pulled.totals = empty_array(points.size, wp.float32, self.device)
-        fans = prepared_fans(vertices, self.fan_faces, size)
+        if self.is_quads:
+            surface = [vertices, self.faces, prepared_quads(vertices, self.faces, size)]
+            pulls, add_up = (pull_quad_positions, pull_quad_weights), sum_quad_corners
+        else:
+            surface = [vertices, self.fan_faces, prepared_fans(vertices, self.fan_faces, size)]
+            pulls, add_up = (pull_positions, pull_weights), sum_mean_value_corners
         if weights is None:
             rows = self.no_rows
-            inputs = [points, slopes, vertices, self.fan_faces, fans, targets, size]
-            self._launch(pull_positions, points.size, inputs, [pulled])
+            self._launch(pulls[0], points.size, [points, slopes, *surface, targets, size], [pulled])
         else:
             rows = slopes
-            inputs = [points, rows, weights, vertices, self.fan_faces, fans, size]
-            self._launch(pull_weights, points.size, inputs, [pulled])
-        inputs = [pulled, vertices, self.faces, targets, rows, size]
-        self._launch(sum_mean_value_corners, self._items, inputs, self.arrays)
+            self._launch(pulls[1], points.size, [points, rows, weights, *surface, size], [pulled])
+        self._launch(add_up, self._items, [pulled, vertices, self.faces, targets, rows, size], self.arrays)
         return pulled
 
     def add_maximum_likelihood(
@@ -130,12 +136,12 @@ class CornerSums:
         return found[0], found[1]
 
 
-def _corner_shares(cage: ClosedMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which corners of faces, 3 f + k, each own vertex of a cage has a share in: of vertex j from starts[j] to
-    starts[j + 1], and how much."""
+def _corner_shares(cage: ClosedMesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which corners of faces (f, k), one after the other, each own vertex of a cage has a share in: of vertex j from
+    starts[j] to starts[j + 1], and how much."""
     from scipy import sparse
 
-    corners = cage.faces.reshape(-1)
+    corners = faces.reshape(-1)
     shape = len(cage.vertices), len(corners)
     shares = sparse.csr_matrix((np.ones(len(corners)), (corners, np.arange(len(corners)))), shape)
     if cage.operator is not None:

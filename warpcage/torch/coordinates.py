@@ -59,7 +59,7 @@ def deform_points(
 def mean_value_coordinates(
     points: torch.Tensor, cage: ClosedMesh, *, vertices: torch.Tensor | None = None, outside: str = "extend"
 ) -> torch.Tensor:
-    """Mean value coordinates of points in a cage of triangles, with gradients by points and cage.
+    """Mean value coordinates of points in a cage, with gradients by points and cage.
 
     Args:
         points: (n, 3), world units; the work is done on their device, in single floats.

@@ -4,6 +4,7 @@ import numpy as np
 import oracles
 import pytest
 import warp as wp
+from polygon_cages import mixed_prism, quad_box
 
 from warpcage import Cage, deform_points
 from warpcage.coordinates import coordinates_vjp, deform_points_vjp, stretched_normals
@@ -155,7 +156,73 @@ def test_bad_slopes_are_refused(device):
             coordinates_vjp(points, cage, slopes, device=device)
     with pytest.raises(ValueError, match="through weights of harmonic"):
         coordinates_vjp(points, cage, wp.zeros((2, 8), device=device), "harmonic", device=device)
-    quads = Cage(cage.vertices, [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
-    quads = quads if quads.volume > 0 else Cage(cage.vertices, [face[::-1] for face in quads.polygons])
-    with pytest.raises(ValueError, match="mean_value coordinates of quads: cut"):
-        deform_points_vjp(points, quads, quads, points, device=device)
+    box = quad_box(1)
+    with pytest.raises(ValueError, match="through weights of green"):
+        coordinates_vjp(points, box, wp.zeros((2, 8), device=device), "green", device=device)
+
+
+# -- Bilinear patches
+
+
+def patch_weights(cage):
+    """Mean value weights (n, v) in a cage of polygons, by quadrature, as a function of points and vertices."""
+    surface = cage.refined(1)
+    operator = surface.operator.toarray()
+    return lambda points, vertices: (
+        oracles.quad_mean_value_weights(points, operator @ vertices, surface.quads, 8) @ operator
+    )
+
+
+def moved_by_patches(cage):
+    weights = patch_weights(cage)
+    return lambda points, vertices, targets: weights(points, vertices) @ targets
+
+
+def check_patches(cage, points, random, device, share=1e-3, step=1e-6):
+    """Whether slopes of moved points are central differences, in a pose of the cage at random."""
+    targets = cage.vertices @ np.linalg.qr(random.normal(size=(3, 3)))[0].T
+    given = [points, cage.vertices, targets + 0.1 * random.normal(size=targets.shape)]
+    along, slopes = [random.normal(size=each.shape) for each in given], random.normal(size=points.shape)
+    found, move = deform_points_vjp(points, cage, given[2], slopes, device=device), moved_by_patches(cage)
+    for number, slope in enumerate((found.points, found.cage, found.deformed)):
+        expected = difference(lambda *moving: (slopes * move(*moving)).sum(), given, along, number, step)
+        close(slope, along[number], expected, share)
+
+
+@pytest.mark.parametrize("cage", [quad_box(1, 0.15), quad_box(3, 0.15), mixed_prism()], ids=["box", "many", "prism"])
+def test_slopes_of_points_in_patches_are_central_differences(cage, device):
+    random = np.random.default_rng(1)
+    check_patches(cage, 0.45 * random.uniform(-1, 1, (8, 3)), random, device)
+
+
+@pytest.mark.parametrize("height", [1e-1, 1e-3])
+def test_slopes_hold_up_to_the_patches(height, device):
+    random = np.random.default_rng(2)
+    cage = quad_box(2, 0.15)
+    places, normals, _ = oracles.on_quads(cage.vertices, np.array(cage.polygons), 8)
+    check_patches(cage, oracles.single(places - height * normals), random, device, step=1e-3 * min(height, 1e-3))
+    on = deform_points_vjp(places, cage, cage.vertices, normals, device=device)
+    inside = deform_points_vjp(places - 2e-4 * normals, cage, cage.vertices, normals, device=device)
+    # at rest nothing bends: all slopes are those of the point itself
+    np.testing.assert_allclose(on.points.numpy(), normals, atol=1e-2)
+    np.testing.assert_allclose(on.deformed.numpy(), inside.deformed.numpy(), atol=1e-2)
+
+
+def test_slopes_of_points_around_patches(device):
+    random = np.random.default_rng(3)
+    points = random.normal(size=(10, 3))
+    for distance in (2.5, 30.0):
+        away = distance * points / np.linalg.norm(points, axis=1, keepdims=True)
+        check_patches(quad_box(2, 0.15), away, random, device)
+
+
+@pytest.mark.parametrize("cage", [quad_box(2, 0.15), mixed_prism()], ids=["box", "prism"])
+def test_slopes_of_weights_of_polygons_are_central_differences(cage, device):
+    random, weights = np.random.default_rng(4), patch_weights(cage)
+    given = random.uniform(-0.4, 0.4, (8, 3)), cage.vertices
+    rows = random.normal(size=(8, len(cage.vertices))).astype(np.float32)
+    found = coordinates_vjp(given[0], cage, wp.array(rows, device=device), device=device)
+    along = [random.normal(size=each.shape) for each in given]
+    for number, slope in enumerate((found.points, found.cage)):
+        expected = difference(lambda *moving: (rows * weights(*moving)).sum(), given, along, number, 1e-6)
+        close(slope, along[number], expected)
