@@ -179,7 +179,7 @@ def _frame(
     with in_order(_place(owner)):
         options = _options(owner, camera, camera_change, background, step)
         arrays = posed_frame(owner, host(vertices), options)
-        rgb, alpha, depth = (torch.from_dlpack(array) for array in arrays)
+        rgb, alpha, depth = map(tensor_of, arrays)
         shape = options.camera.height, options.camera.width
         return rgb.reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape)
 
