@@ -16,11 +16,13 @@ gc.disable()
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Workers of pytest-xdist share the cores: each takes its part of them for kernels on the CPU, and so do the processes
-# that its tests start. Set before warpcage is imported. Tests of threads ask for them by the fixture `two_threads`.
+# Workers of pytest-xdist share the cores: each takes its part of them for kernels on the CPU and for linear algebra,
+# whose threads would wait for each other at full speed, and so do the processes that its tests start. Set before
+# warpcage and NumPy are imported. Tests of threads ask for them by the fixture `two_threads`.
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     share = (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
-    os.environ.setdefault("WARPCAGE_THREADS", str(max(1, share)))
+    for variable in ("WARPCAGE_THREADS", "OMP_NUM_THREADS"):  # which OpenBLAS reads, too
+        os.environ.setdefault(variable, str(max(1, share)))
 
 os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # JAX would take most of a GPU for each worker
 

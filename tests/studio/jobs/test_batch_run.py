@@ -1,5 +1,6 @@
 """`warpcage run` by one worker: what is there is kept, what fails is listed, full disks and interrupts lose nothing."""
 
+import json
 import os
 import pathlib
 import re
@@ -164,7 +165,8 @@ def test_workers_of_a_driver_that_was_killed_are_waited_for(tmp_path, monkeypatc
 )
 def test_an_ended_run_goes_on_where_it_was(files, tmp_path, sign):
     """By one worker, which is the driver."""
-    path, out = write_frames(tmp_path / "job", 250), tmp_path / "out"
+    count = 100 if sign == signal.SIGKILL else 250  # so that some are left when the signal comes
+    path, out = write_frames(tmp_path / "job", count), tmp_path / "out"
     argv = command("run", path, "-o", out, "--device", "cpu", "--quiet")
     driver = subprocess.Popen(argv, stderr=subprocess.PIPE, text=True)
     while len(list((out / "shot").glob("*.png") if (out / "shot").exists() else ())) < 10:
@@ -174,13 +176,13 @@ def test_an_ended_run_goes_on_where_it_was(files, tmp_path, sign):
     said = driver.communicate()[1]
     if sign != signal.SIGKILL:
         assert driver.returncode == 128 + sign and said in ("warpcage: interrupted\n", "warpcage: terminated\n")
-        assert left_over(out) == [] and 0 < len(records(out)) < 250
+        assert left_over(out) == [] and 0 < len(records(out)) < count
         # the last pictures may have been put into their place and not noted yet: they are made again
         assert {f"{name}.png" for name in records(out)} <= set(pictures(out))
     before = {each: each.stat().st_mtime_ns for each in (out / "shot").iterdir()}
     assert started(path, out) == 0
     found = records(out)
-    assert len(found) == len(pictures(out)) == 250 and left_over(out) == []
+    assert len(found) == len(pictures(out)) == count and left_over(out) == []
     again = [each for each, when in before.items() if each.stat().st_mtime_ns != when]
     assert len(again) <= 10  # what was under way, and was not noted yet
 
@@ -368,36 +370,31 @@ def test_a_shard_is_packed_without_what_failed_and_again_with_it(tmp_path):
     assert run_with(path, out).made == 1 and pictures(out) == whole
 
 
-def run_and_kill(path, out, statements):
-    """A run that ends where statements put `kill`."""
-    program = (
-        "import os, pathlib, signal, sys, types\nsys.path.insert(0, sys.argv[3])\nfrom runs import run_with\n"
-        "from warpcage.studio.jobs import manifest, webdataset\nfrom warpcage.studio.jobs.engines import chunk_runner\n"
-        "kill = lambda *given, **options: os.kill(os.getpid(), signal.SIGKILL)\n"
-        f"{statements}\nrun_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
-    )
-    line = [sys.executable, "-c", program, str(path), str(out), SUPPORT]
-    assert subprocess.run(line).returncode == -signal.SIGKILL
+#: Runs that end where statements put `kill`, each in a fork of a process that has imported all and started nothing yet.
+KILLED = """\
+import json, os, pathlib, signal, sys, types
+sys.path.insert(0, sys.argv[1])
+from runs import run_with
+from warpcage.studio.jobs import manifest, webdataset
+from warpcage.studio.jobs.engines import chunk_runner
 
+kill = lambda *given, **options: os.kill(os.getpid(), signal.SIGKILL)
+for path, out, statements in json.load(sys.stdin):
+    child = os.fork()
+    if not child:
+        try:
+            exec(statements)
+            run_with(pathlib.Path(path), pathlib.Path(out))
+        finally:
+            os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL, statements
+"""
 
 KILLS_OF_SHARDS = {
     "before it is packed": "chunk_runner.pack_shard = kill",
     "while it is packed": "webdataset.add_files = kill",
     "before its files are deleted": "webdataset.shutil = types.SimpleNamespace(rmtree=kill)",
 }
-
-
-@pytest.mark.parametrize("step", KILLS_OF_SHARDS)
-def test_a_kill_while_a_shard_is_packed_loses_nothing(tmp_path, step):
-    path, out = write_records(tmp_path / "job", 12, RECORDS), tmp_path / "out"
-    assert run_with(path, out).complete
-    whole = pictures(out)
-    shutil.rmtree(out)
-    run_and_kill(path, out, KILLS_OF_SHARDS[step])
-    report = run_with(path, out)
-    assert report.complete and report.kept >= 5 and pictures(out) == whole and left_over(out) == []
-    assert len(records(out)) == 12
-
 
 KILLS = {
     "between files and their note": """append, count = manifest.Notes.append, []
@@ -419,10 +416,37 @@ pathlib.Path.unlink = lambda path, **more: (kill if path.parent.name == 'notes' 
 }
 
 
+@pytest.fixture(scope="module")
+def killed(files, tmp_path_factory):
+    """The job file and the folder of each killed run, by its step."""
+    folder = tmp_path_factory.mktemp("killed")
+    shards = write_records(folder / "job", 12, RECORDS)
+    runs = {step: (shards if step in KILLS_OF_SHARDS else files / "jobs.jsonl", folder / step.replace(" ", "_"))
+            for step in (KILLS_OF_SHARDS | KILLS)}  # fmt: skip
+    given = [(str(runs[step][0]), str(runs[step][1]), text) for step, text in (KILLS_OF_SHARDS | KILLS).items()]
+    subprocess.run([sys.executable, "-c", KILLED, SUPPORT], input=json.dumps(given), text=True, check=True)
+    return runs
+
+
+@pytest.fixture(scope="module")
+def shards(killed, tmp_path_factory):
+    """The shards of a run that nothing ended."""
+    out = tmp_path_factory.mktemp("shards")
+    assert run_with(killed["while it is packed"][0], out).complete
+    return pictures(out)
+
+
+@pytest.mark.parametrize("step", KILLS_OF_SHARDS)
+def test_a_kill_while_a_shard_is_packed_loses_nothing(killed, shards, step):
+    path, out = killed[step]
+    report = run_with(path, out)
+    assert report.complete and report.kept >= 5 and pictures(out) == shards and left_over(out) == []
+    assert len(records(out)) == 12
+
+
 @pytest.mark.parametrize("step", KILLS)
-def test_a_kill_at_any_step_loses_nothing(files, tmp_path, step):
-    path, out = files / "jobs.jsonl", tmp_path / "out"
-    run_and_kill(path, out, KILLS[step])
+def test_a_kill_at_any_step_loses_nothing(killed, step):
+    path, out = killed[step]
     report = run_with(path, out)
     noted = {"between files and their note": 4, "in the middle of a note": 0}.get(step, 12)
     assert report.complete and report.kept >= noted and report.kept + report.made == 12
