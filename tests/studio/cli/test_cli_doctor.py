@@ -7,36 +7,67 @@ import sys
 
 import pytest
 
+from warpcage.coordinates import coordinates
+from warpcage.studio.cli import main
 
-def doctor(tmp_path, *needs, environment=(), **modules):
-    """Exit status, and lines of doctor by their state, on a machine whose warpcage needs `needs`; modules: texts of
-    stand-ins for installed ones."""
-    info = tmp_path / "warpcage-0.0.1.dist-info"
+
+def put_packages(folder, needs, modules=()):
+    """Writes what a warpcage that needs `needs` leaves where it is installed, and texts of modules."""
+    info = folder / "warpcage-0.0.1.dist-info"
     info.mkdir()
     heads = ["Metadata-Version: 2.1", "Name: warpcage", "Version: 0.0.1"]
     heads += [f"Requires-Dist: {need}" for need in needs]
     (info / "METADATA").write_text("\n".join(heads) + "\n", encoding="utf-8")
-    for name, text in modules.items():
-        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
-    paths = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
-    command = [sys.executable, "-m", "warpcage", "doctor", "--device", "cpu"]
-    variables = {**os.environ, "PYTHONPATH": paths, **dict(environment)}
-    done = subprocess.run(command, env=variables, cwd=tmp_path, capture_output=True, text=True, timeout=240)
-    assert done.stderr == ""
+    for name, text in dict(modules).items():
+        (folder / f"{name}.py").write_text(text, encoding="utf-8")
+
+
+def lines_by_state(said):
+    """Lines that doctor printed, by their state."""
     lines = {"ok": [], "note": [], "broken": []}
-    for line in done.stdout.splitlines()[:-1]:
+    for line in said.splitlines()[:-1]:
         state, what = re.match(r"(ok|note|broken) +(\S.*)", line).groups()
         lines[state].append(what)
-    last = done.stdout.splitlines()[-1]
+    last = said.splitlines()[-1]
     assert last == (f"{len(lines['broken'])} problem to fix" if lines["broken"] else "warpcage works here")
-    return done.returncode, lines
+    return lines
+
+
+def started_doctor(tmp_path, *needs, **environment):
+    """Exit status, and lines of doctor by their state, of a process on a machine whose warpcage needs `needs`."""
+    put_packages(tmp_path, needs)
+    paths = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    command = [sys.executable, "-m", "warpcage", "doctor", "--device", "cpu"]
+    variables = {**os.environ, "PYTHONPATH": paths, **environment}
+    done = subprocess.run(command, env=variables, cwd=tmp_path, capture_output=True, text=True, timeout=240)
+    assert done.stderr == ""
+    return done.returncode, lines_by_state(done.stdout)
+
+
+@pytest.fixture
+def doctor(tmp_path, monkeypatch, capsys):
+    """The same in this process; modules: texts of stand-ins for installed ones."""
+
+    def call(*needs, **modules):
+        put_packages(tmp_path, needs, modules)
+        monkeypatch.syspath_prepend(tmp_path)
+        for name in modules:
+            monkeypatch.setitem(sys.modules, name, None)  # so that what was there comes back
+            monkeypatch.delitem(sys.modules, name)
+        status, said = main(["doctor", "--device", "cpu"]), capsys.readouterr()
+        assert said.err == ""
+        return status, lines_by_state(said.out)
+
+    return call
 
 
 NUMPY = "numpy>=1.26"
 
 
 def test_a_whole_machine(tmp_path):
-    status, lines = doctor(tmp_path, NUMPY, 'no-such-package>=2; extra == "cluster"', 'numpy>=1; extra == "exr"')
+    status, lines = started_doctor(
+        tmp_path, NUMPY, 'no-such-package>=2; extra == "cluster"', 'numpy>=1; extra == "exr"'
+    )
     assert status == 0 and lines["broken"] == []
     said = {line.split()[0] for line in lines["ok"]}
     assert said >= {"warpcage", "python", "packages", "warp", "cpu", "films", "[exr]", "self-test"}
@@ -66,42 +97,38 @@ FAULTS = {
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.nightly] * (name in ("another version", "hevc"))) for name in FAULTS]
 )
-def test_a_fault_is_one_line_that_says_what_to_do(tmp_path, name):
+def test_a_fault_is_one_line_that_says_what_to_do(doctor, name):
     needs, modules, said = FAULTS[name]
-    status, lines = doctor(tmp_path, *needs, **modules)
+    status, lines = doctor(*needs, **modules)
     (broken,) = lines["broken"]
     assert status == 1 and re.search(said, broken), lines
     tried = any(line.startswith("self-test") for line in lines["ok"])
     assert tried == bool(modules)  # films alone are not written; of wrong packages it is not known what it would show
 
 
-def test_what_one_step_alone_needs_is_only_noted(tmp_path):
-    status, lines = doctor(tmp_path, "pymeshlab>=9999")
+def test_what_one_step_alone_needs_is_only_noted(doctor):
+    status, lines = doctor("pymeshlab>=9999")
     assert status == 0 and any("cages cannot be generated" in line for line in lines["note"])
 
 
 def test_no_writable_cache(tmp_path):
     (tmp_path / "file").write_text("no folder", encoding="utf-8")
-    status, lines = doctor(tmp_path, NUMPY, environment={"WARP_CACHE_PATH": str(tmp_path / "file" / "cache")})
+    status, lines = started_doctor(tmp_path, NUMPY, WARP_CACHE_PATH=str(tmp_path / "file" / "cache"))
     (broken,) = lines["broken"]
     assert status == 1 and "set WARP_CACHE_PATH to a folder that can" in broken
 
 
-def test_warp_that_gives_wrong_numbers(tmp_path):
+def test_warp_that_gives_wrong_numbers(doctor, monkeypatch):
     """A stand-in for a broken driver: the coordinates of all points are off."""
-    (tmp_path / "sitecustomize.py").write_text(
-        "import warpcage.coordinates.coordinates as c\nright = c.deform_points\n"
-        "c.deform_points = lambda *a, **k: right(*a, **k) + 0.01\n",
-        encoding="utf-8",
-    )
-    status, lines = doctor(tmp_path, NUMPY)
+    right = coordinates.deform_points
+    monkeypatch.setattr(coordinates, "deform_points", lambda *given, **more: right(*given, **more) + 0.01)
+    status, lines = doctor(NUMPY)
     (broken,) = lines["broken"]
     assert status == 1 and broken.startswith("self-test") and "0.01 in points on cpu" in broken
 
 
 def test_the_demo_is_the_example_of_the_whole_way(tmp_path, monkeypatch):
     import warpcage.examples.render_lego as example
-    from warpcage.studio.cli import main
 
     argv = []
     monkeypatch.setattr(example, "main", lambda given: argv.append(vars(example.parse_arguments(given))))
