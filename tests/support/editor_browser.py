@@ -340,8 +340,8 @@ def window(browser: Any, editor: Any) -> Iterator[Window]:
     """A window at the editor, with what a new user's browser has kept: nothing. Its console stays empty."""
     browser.switch_to.window(browser.window_handles[0])
     pointer(browser, "mouseMoved", 1, 1)  # what it was over before would be drawn as pointed at
-    browser.get(editor.url)
-    browser.execute_script("localStorage.clear()")
+    origin = "/".join(editor.url.split("/")[:3])
+    browser.execute_cdp_cmd("Storage.clearDataForOrigin", {"origin": origin, "storageTypes": "local_storage"})
     browser.get_log("browser")
     opened = Window(browser, editor.url)
     yield opened

@@ -92,9 +92,16 @@ def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, 
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
 
-@pytest.mark.parametrize("touch", [False, True], ids=["mouse", "touch"])
 @pytest.mark.parametrize(
-    ("width", "height"), [(800, 600), pytest.param(1440, 900, marks=pytest.mark.nightly), (820, 1180)]
+    ("width", "height", "touch"),
+    [
+        (800, 600, False),
+        (820, 1180, True),
+        *(
+            pytest.param(*each, marks=pytest.mark.nightly)
+            for each in ((800, 600, True), (820, 1180, False), (1440, 900, False), (1440, 900, True))
+        ),
+    ],
 )
 def test_tools_that_draw_have_room(window: Window, browser: Any, width: int, height: int, touch: bool) -> None:
     metrics = {"width": width, "height": height, "deviceScaleFactor": 0.5, "mobile": touch}
