@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -17,8 +18,26 @@ from ..errors import InputError
 @functools.cache
 def call(function: Callable[..., None], outputs: int) -> Any:
     """A function of Warp arrays and numbers, the last ones its outputs, as XLA calls it, on CPU and CUDA."""
-    # All is launched on XLA's stream. Nothing is captured, as poses are read on the host.
-    return wp.jax_callable(function, num_outputs=outputs, graph_mode=wp.JaxCallableGraphMode.NONE)
+    # Nothing is captured, as poses are read on the host.
+    return wp.jax_callable(_in_order(function), num_outputs=outputs, graph_mode=wp.JaxCallableGraphMode.NONE)
+
+
+def _in_order(function: Callable[..., None]) -> Callable[..., None]:
+    """A function that launches on the stream that Warp has now, behind what XLA has queued and before what it queues
+    then: frames and poses keep memory from call to call, which streams must not share."""
+    streams = {str(device): device.stream for device in wp.get_cuda_devices()}
+
+    @functools.wraps(function)
+    def run(*arguments: Any) -> None:
+        device = next(each.device for each in arguments if isinstance(each, wp.array))
+        if device.is_cpu:
+            function(*arguments)
+            return
+        with wp.ScopedStream(streams[str(device)], sync_enter=True, sync_exit=True):
+            function(*arguments)
+
+    run.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]  # Warp reads this one
+    return run
 
 
 def float_rows(array: Any, name: str) -> Any:
