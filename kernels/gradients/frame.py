@@ -94,7 +94,11 @@ def color_adjoint_code(width: int, parts: tuple[int, ...]) -> str:
 {UNROLL}
         for (int corner = 0; corner < 8; ++corner)
         {{
-            const bool is_held = rows.c[corner] >= 0;  // a row that is not weighs nothing: no branches between loads
+            const bool is_held = rows.c[corner] >= 0;
+#if !defined(__CUDA_ARCH__)  // where a row that is not weighs nothing: no branches between loads
+            if (!is_held)
+                continue;
+#endif
             float products[{width}], dots[3] = {{}};
             {READ_ROW.format(width=width)}
             const float weight = is_held ? weights.c[corner] : 0.0f, held = is_held ? 1.0f : 0.0f;

@@ -36,9 +36,6 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 forward_only = forward_only_in(__name__, (float, wp.vec3))
 
-#: Samples of a run.
-MAX_KEPT = wp.constant(32)
-
 
 @wp.struct
 class FrameLoss:
@@ -98,7 +95,9 @@ def slope_by_color(loss: FrameLoss, pixel: int):
 class RaySamples:
     """Samples that hold matter: of each of a batch of rays those of one run."""
 
-    kept: wp.array2d(dtype=wp.vec4)  # (MAX_KEPT, rays) sample, share of one, light that reaches it; the last is free
+    kept: wp.array2d(
+        dtype=wp.vec4
+    )  # (most of a run, rays) sample, share of one, light that reaches it; the last is free
     counts: wp.array(dtype=int)  # (rays,) of the whole ray
     ends: wp.array(dtype=wp.vec4)  # (rays,) see `RayEnd`
     begins: wp.array2d(dtype=wp.vec4)  # (runs, rays) of each run the sample, how much of it is done, share, light
@@ -131,19 +130,20 @@ def ray_end(samples: RaySamples, place: int):
 
 
 @wp.func
-def run_before_last(count: int, back: int):
+def run_before_last(samples: RaySamples, count: int, back: int):
     """The run of a ray that many before its last one; below 0: there is none."""
-    return (count + MAX_KEPT - 1) // MAX_KEPT - 1 - back
+    size = samples.kept.shape[0]
+    return (count + size - 1) // size - 1 - back
 
 
 @wp.func
 def kept_count(samples: RaySamples, place: int, back: int):
     """Samples of that run of a ray."""
     count = samples.counts[place]
-    run = run_before_last(count, back)
+    run = run_before_last(samples, count, back)
     if run < 0:
         return int(0)
-    return wp.min(count - run * MAX_KEPT, MAX_KEPT)
+    return wp.min(count - run * samples.kept.shape[0], samples.kept.shape[0])
 
 
 @wp.func
@@ -272,13 +272,13 @@ def keep_samples(
     samples: RaySamples,
 ):
     """Keep the samples of each ray's last run, and count all; of the run `back` before it, from `begins`; back -1: fill
-    `begins`. One item per ray."""
+    `begins` alone. One item per ray."""
     place = first + wp.tid()
     run = int(0)
     if back == 0:
         samples.counts[place] = 0
     elif back > 0:
-        run = run_before_last(samples.counts[place], back)
+        run = run_before_last(samples, samples.counts[place], back)
         if run < 0:
             return
     ray = frame_ray(rays, place)
@@ -298,13 +298,14 @@ def keep_samples(
     sample = ray_sample(first_sample(near_far[0] * options.inverse_step), 0.0, 1.0)
     light = float(1.0)
     depth = float(0.0)
-    n = run * MAX_KEPT  # of the samples that hold matter
+    size = samples.kept.shape[0]
+    n = run * size  # of the samples that hold matter
     last = int(1 << 30)
     if back > 0:
         begin = samples.begins[run, place]
         sample = ray_sample(begin[0], begin[1], begin[2])
         light = begin[3]
-        last = n + MAX_KEPT
+        last = n + size
     t = sample_distance(sample, options.step)
     foreseen = lattice_place(edit, grid, line, t)
     while t < near_far[1] and light > options.stop and n < last:
@@ -323,9 +324,9 @@ def keep_samples(
             after = ray_sample(sample.k, 0.0, -1.0 / float(found.parts))
         if sigma > 0.0:
             if back >= 0:
-                samples.kept[n % MAX_KEPT, place] = wp.vec4(sample.k + sample.j, sample.share, light, 0.0)
-            elif n % MAX_KEPT == 0 and n // MAX_KEPT < samples.begins.shape[0]:
-                samples.begins[n // MAX_KEPT, place] = wp.vec4(sample.k, sample.j, sample.share, light)
+                samples.kept[n % size, place] = wp.vec4(sample.k + sample.j, sample.share, light, 0.0)
+            if back <= 0 and n % size == 0 and n // size < samples.begins.shape[0]:
+                samples.begins[n // size, place] = wp.vec4(sample.k, sample.j, sample.share, light)
             passed = wp.exp(-sigma * optical_length(found, sample.share, options))
             depth += light * (1.0 - passed) * t
             light *= passed

@@ -20,7 +20,7 @@ from ..field.voxel_field import VoxelField
 from ..fitting.batches import ShardedWork, launch_shards, shard_count, sum_shards
 from ..kernels.fitting.cameras import CAMERA_NUMBERS
 from ..kernels.gradients.frame import FrameSlopes, accumulate_frame_gradient, sum_samples, weigh_samples
-from ..kernels.gradients.frame_samples import MAX_KEPT, FrameLoss, FrameRays, RaySamples, find_largest, keep_samples
+from ..kernels.gradients.frame_samples import FrameLoss, FrameRays, RaySamples, find_largest, keep_samples
 from ..kernels.render.rays import MarchOptions
 from ..kernels.view.rays import TILE_SIZE
 from ..render.scene import PosedScene
@@ -29,8 +29,12 @@ from ..view.camera import Camera, camera_array
 from .loss import FrameGradient, column_sums, frame_loss
 from .splats import splat_gradient
 
-#: Rays whose samples are held at a time, whole tiles: 512 bytes each.
-BATCH_RAYS = {"cpu": 2**14, "cuda": 2**18}
+#: Samples of a ray, and rays of whole tiles, that are held at a time, 16 bytes each; a ray with more is followed again.
+HELD_SAMPLES = {"cpu": 128, "cuda": 64}
+HELD_RAYS = {"cpu": 2**11, "cuda": 2**17}
+
+#: Runs of so many samples whose beginnings are kept on the way.
+KNOWN_RUNS = 4
 
 #: Steps of a march, for launches on a CPU.
 MARCH_WORK = 200
@@ -146,6 +150,7 @@ class _Sums:
 
     def __init__(self, shape: tuple[int, ...], stored: Any, view: FieldView | None, device: wp.Device):
         self._device, self._shape, self._stored = device, shape, stored
+        self._kind = "cpu" if device.is_cpu else "cuda"
         self._sizes = [3 * math.prod(shape)]  # of numbers: of nodes, harmonics and densities
         self._sizes += [] if stored is None else [stored.sh.size, stored.density.size]
         self._blocks = [wp.zeros(sum(self._sizes), dtype=wp.float32, device=device) for _ in range(shard_count(device))]
@@ -154,14 +159,16 @@ class _Sums:
 
     def add(self, count: int, inputs: list[Any]) -> None:
         """Add what whole tiles of rays pass on; inputs: the field's grid and rows, edit, FrameRays and options."""
-        most = BATCH_RAYS["cpu" if self._device.is_cpu else "cuda"]
+        most = HELD_RAYS[self._kind]
         for begin in range(0, count, most):
             inputs[3].begin = begin
             self._add_batch(min(most, count - begin), inputs)
 
     def _add_batch(self, count: int, inputs: list[Any]) -> None:
         device, samples = self._device, RaySamples()
-        samples.kept = empty_array((int(MAX_KEPT), count), wp.vec4, device)
+        held = HELD_SAMPLES[self._kind]
+        samples.kept = empty_array((held, count), wp.vec4, device)
+        samples.begins = empty_array((KNOWN_RUNS, count), wp.vec4, device)
         samples.counts, samples.ends = empty_array(count, wp.int32, device), empty_array(count, wp.vec4, device)
 
         def keep(back: int) -> None:
@@ -171,8 +178,8 @@ class _Sums:
         self._spread([*inputs, 0, samples])
         largest: wp.array = wp.zeros(1, dtype=wp.int32, device=device)
         launch(find_largest, count, [samples.counts], [largest], device=device, threads=1)
-        runs = -(-int(largest.numpy()[0]) // int(MAX_KEPT))  # read behind all that most rays need
-        if runs > 1:
+        runs = -(-int(largest.numpy()[0]) // held)  # read behind all that most rays need
+        if runs > KNOWN_RUNS:
             samples.begins = empty_array((runs, count), wp.vec4, device)
             keep(-1)
         for back in range(1, runs):
@@ -188,7 +195,7 @@ class _Sums:
             work = ShardedWork(accumulate_frame_gradient, rays // TILE_SIZE, [1, *inputs], outputs, items=TILE_SIZE)
             launch_shards([work], len(self._blocks), device)
             return
-        slots = int(MAX_KEPT)
+        slots = samples.kept.shape[0]
         launch(weigh_samples, slots * rays, inputs, device=device)
         launch(sum_samples, rays, [back, samples], device=device)
         launch(accumulate_frame_gradient, slots * rays, [slots, *inputs], [self._slopes(0)], device=device)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from warpcage import Cage, CageEdit, Camera, Deformer, SurfaceMesh, VoxelField, deform_points, turntable
 from warpcage.field.render import RenderOptions
-from warpcage.gradients import frame_gradient
+from warpcage.gradients import frame, frame_gradient
 from warpcage.gradients.frame import voxel_gradient
 
 BACKGROUND = (0.3, 0.6, 0.1)
@@ -299,6 +299,19 @@ def test_the_gradient_of_several_views_is_the_sum(device):
     expected = np.sum([each.nodes.numpy() for each in alone], axis=0)
     assert np.abs(alone[1].nodes.numpy()).max() == 0.0 < np.abs(expected).max()
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_rays_of_many_runs_have_the_gradient_of_one(device, monkeypatch):
+    field, camera = make_field(lambda x: ellipsoid(x, sigma=6.0), shiny, device=device), small_camera()
+    deformer = Deformer(field, BOX, resolution=16).pose(BOX.scale([0.5, 1.2, 1.0]))  # whose samples are cut
+    loss = np.random.default_rng(5).normal(size=(16, 20, 3))
+    expected = frame_gradient(deformer, camera, loss, by_camera=True, step=0.02)
+    for held in (3, 40):  # more runs than are known on the way, and fewer
+        monkeypatch.setattr(frame, "HELD_SAMPLES", {"cpu": held, "cuda": held})
+        found = frame_gradient(deformer, camera, loss, by_camera=True, step=0.02)
+        for name in ("nodes", "camera"):
+            one, other = (np.asarray(getattr(each, name)) for each in (expected, found))
+            np.testing.assert_allclose(other, one, atol=1e-4 * np.abs(one).max())
 
 
 def test_what_has_no_gradient_yet_is_refused(device):
