@@ -34,7 +34,7 @@ from ..view.rays import PinholeCamera, joined_span, pixel_direction, tile_pixel
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
-forward_only = forward_only_in(__name__, (float, wp.vec3))
+forward_only = forward_only_in(__name__, (float, wp.vec3), (eight_weights, wp.vec3))
 
 
 @wp.struct
@@ -257,6 +257,7 @@ def cell_of_sample(columns: Columns, g: wp.vec3):
         cell.weights[corner] = corner_share(corner, cell.offset)
         if cell.rows[corner] >= 0 and columns.order.shape[0] > 0:
             cell.rows[corner] = columns.order[cell.rows[corner]]
+    cell.weights = forward_only(cell.weights, g)
     return cell
 
 
