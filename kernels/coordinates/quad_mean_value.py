@@ -463,8 +463,7 @@ def quad_mean_value_point(
     targets: wp.array(dtype=wp.vec3),
     size: float,
 ):
-    """quad_mean_value_position, and the sum of the weights before they are divided by it: 0 where the point lies on the
-    cage."""
+    """quad_mean_value_position, and the sum of the weights before they are divided by it, 0 on the cage."""
     total = float(0.0)
     position = wp.vec3(0.0, 0.0, 0.0)
     queue = Queue()  # patches for float64, done last: the points of a warp rarely meet theirs at the same patch
@@ -497,10 +496,8 @@ def quad_mean_value_point(
                 last = quad
                 w = far_quad_weights(a, b, c, d, n, ab, face_edge(b, c), shared, face_edge(d, a))
                 total += w[0] + w[1] + w[2] + w[3]
-                position += w[0] * vec3_entry(targets, quad[0])
-                position += w[1] * vec3_entry(targets, quad[1])
-                position += w[2] * vec3_entry(targets, quad[2])
-                position += w[3] * vec3_entry(targets, quad[3])
+                for k in range(4):
+                    position += w[k] * vec3_entry(targets, quad[k])
             f += 1
         while waiting > 0:
             waiting -= 1
@@ -551,13 +548,6 @@ def map_quad_mean_value(
     positions[n] = quad_mean_value_position(points[n], vertices, quads, planes, targets, size)
 
 
-@wp.func
-def add_quad_corners(weights: wp.array2d(dtype=wp.float32), n: int, quad: wp.vec4i, corner_weights: wp.vec4):
-    """Add to row n, which one item owns, at the corners of a patch."""
-    for k in range(4):
-        weights[n, quad[k]] = weights[n, quad[k]] + corner_weights[k]
-
-
 @wp.kernel
 def weigh_quad_mean_value(
     first: int,
@@ -598,7 +588,8 @@ def weigh_quad_mean_value(
             f = quads.shape[0]
         else:
             total += w[0] + w[1] + w[2] + w[3]
-        add_quad_corners(weights, n, quad, wp.vec4(w))
+        for k in range(4):
+            weights[n, quad[k]] = weights[n, quad[k]] + float(w[k])
         if f == quads.shape[0] and not in_double and has_cancelled(float(total), size):
             clear_row(weights, n)
             total = _ZERO

@@ -14,13 +14,15 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 BLOCK_THREADS = 64
 
 #: C++ that leaves the `held` numbers of each lane, an array `own`, and visits groups of lanes of one `key`: `group`, by
-#: its bits, `leader`, its first lane. A lane then takes every `size`-th number, from `rank` on.
+#: its bits, `leader`, its first lane. A lane then takes every `size`-th number, from `rank` on; those of
+#: lane l begin at `kept[l * stride]`.
 GROUPS = """
-    __shared__ float memory[{threads} * {stride}];
-    float* const kept = memory + (threadIdx.x & {warps} & ~31) * {stride};
+    const int stride = {stride};
+    __shared__ float memory[{threads} * stride];
+    float* const kept = memory + (threadIdx.x & {warps} & ~31) * stride;
     const unsigned active = __activemask(), lane = threadIdx.x & 31;
     for (int n = 0; n < {held}; ++n)
-        kept[lane * {stride} + n] = own[n];
+        kept[lane * stride + n] = own[n];
     const unsigned peers = __match_any_sync(active, key);
     const int rank = __popc(active & ((1u << lane) - 1u)), size = __popc(active);
     __syncwarp(active);
@@ -61,7 +63,7 @@ vec24 = wp.types.vector(length=24, dtype=wp.float32)
         {
             float total = 0.0f;
             for (unsigned left = group; left; left &= left - 1u)
-                total += kept[(__ffs(left) - 1) * 25 + n];
+                total += kept[(__ffs(left) - 1) * stride + n];
             const int corner = n / 3;
             const int place = base + ((corner >> 2) * ny + ((corner >> 1) & 1)) * nz + (corner & 1);
             atomicAdd(target + 3 * (size_t)place + n % 3, total);

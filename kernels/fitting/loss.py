@@ -110,7 +110,8 @@ def background_behind(background: wp.vec3, random_background: int, seed: int, n:
     return background
 
 
-@forward.func_native("""
+#: C++ that makes the `gradient` of the numbers of a row from `change`, that by red, green and blue, and the `basis`.
+ROW_GRADIENT = """
     float gradient[27];
     const bool luminous = grad_sh.shape[1] == 24;
     if (luminous)
@@ -133,6 +134,12 @@ def background_behind(background: wp.vec3, random_background: int, seed: int, n:
         for (int channel = 0; channel < 3; ++channel)
             for (int b = 0; b < 9; ++b)
                 gradient[9 * channel + b] = change.c[channel] * basis.c[b];
+"""
+
+
+@forward.func_native(
+    ROW_GRADIENT
+    + """
 #if defined(__CUDA_ARCH__)
     #define ADD(n) atomicAdd(sums + n, weights.c[corner] * gradient[n])
 #else
@@ -150,7 +157,8 @@ def background_behind(background: wp.vec3, random_background: int, seed: int, n:
                     ADD(n);
         }
     #undef ADD
-""")
+"""
+)
 def add_color_gradient(
     grad_sh: wp.array2d(dtype=wp.float32), rows: eight_rows, weights: eight_weights, basis: vec16, change: wp.vec3
 ):

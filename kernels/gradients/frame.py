@@ -18,6 +18,7 @@ from ..field.grid import VoxelGrid, blended_color, eight_weights
 from ..field.harmonics import sh_basis, vec16
 from ..field.rows import RowTable
 from ..fitting.cameras import CAMERA_NUMBERS, camera_slope
+from ..fitting.loss import ROW_GRADIENT
 from ..fitting.slopes import sh_basis_slope
 from ..lattice.cage_map import corner_share
 from ..render.march import LatticePlace, edit_line, lattice_place, ray_sample, sample_distance
@@ -294,31 +295,12 @@ def add_place_slopes(
 
 
 @forward.func_native(
-    """
-    float own[36];  // numbers of a row, slope by density, weights of the corners
+    ROW_GRADIENT
+    + """
+    float own[36] = {};  // numbers of a row, slope by density, weights of the corners
     const int width = grad_sh.shape[1];
-    const bool luminous = width == 24;
-    if (luminous)
-    {
-        // luminance, orange and green: what red, green and blue are made of
-        const float parts[3] = {
-            change.c[0] + change.c[1] + change.c[2],
-            change.c[0] - change.c[2],
-            change.c[1] - 0.5f * (change.c[0] + change.c[2]),
-        };
-        for (int b = 0; b < 16; ++b)
-            own[b] = parts[0] * basis.c[b];
-        for (int b = 0; b < 4; ++b)
-        {
-            own[16 + b] = parts[1] * basis.c[b];
-            own[20 + b] = parts[2] * basis.c[b];
-        }
-        own[24] = own[25] = own[26] = 0.0f;
-    }
-    else
-        for (int channel = 0; channel < 3; ++channel)
-            for (int b = 0; b < 9; ++b)
-                own[9 * channel + b] = change.c[channel] * basis.c[b];
+    for (int n = 0; n < (luminous ? 24 : 27); ++n)
+        own[n] = gradient[n];
     own[27] = by_density;
     for (int corner = 0; corner < 8; ++corner)
         own[28 + corner] = weights.c[corner];
@@ -337,7 +319,7 @@ def add_place_slopes(
                 float total = 0.0f;
                 for (unsigned left = group; left; left &= left - 1u)
                 {
-                    const float* numbers = kept + (__ffs(left) - 1) * 37;
+                    const float* numbers = kept + (__ffs(left) - 1) * stride;
                     total += numbers[28 + corner] * numbers[n < width ? n : 27];
                 }
                 atomicAdd(n < width ? grad_sh.data + (size_t)row * width + n : grad_density.data + row, total);
