@@ -110,7 +110,7 @@ class RayEnd:
     light: float  # that is left
     by_depth: float  # derivative of the loss by the depth of a weight of 1
     later: float  # what the light that is left adds to the loss
-    left_over: float  # light that was left where a march ended in matter, until it is told to the last sample
+    left_over: float  # light that was left where a march ended in matter, until the last sample takes it
 
 
 @wp.func
