@@ -1,9 +1,10 @@
 """Differences of frames from pictures, blurred, a robust sum of their squares, and its slopes by the frames."""
 
-# A loss of views is sum_p w_p rho(d_p), d = G (frame - picture) with G a Gaussian blur of each view that takes what is
-# around it for zero, and rho(d) = 2 s^2 (sqrt(1 + (d / s)^2) - 1), which is d^2 near zero and grows linearly above s
-# (pseudo-Huber). G is its own adjoint: slopes by the frame are G rho'(d). Depths z, which have no blur, differ by
-# a (z - target), with a the opacity: where little is seen little counts, and nothing jumps where a depth comes or goes.
+# A loss of views is sum_p w_p rho(d_p), d = e G frame - G picture with e the exposure of the view's picture, which
+# opacities have not, G a Gaussian blur of each view that takes what is around it for zero, and
+# rho(d) = 2 s^2 (sqrt(1 + (d / s)^2) - 1), which is d^2 near zero and grows linearly above s (pseudo-Huber). G is its
+# own adjoint: slopes by the frame are G e rho'(d). Depths z, which have no blur, differ by a (z - target), with a the
+# opacity: where little is seen little counts, and nothing jumps where a depth comes or goes.
 
 import warp as wp
 
@@ -33,14 +34,14 @@ class Comparison:
     unit: float  # size of the cage, world units
     behind: float  # by which frames' depth lies behind the surface, world units
     known_alone: int  # 1: opacities count where the pictures have a depth
+    view_pixels: int  # h * w
+    exposures: wp.array(dtype=wp.vec3)  # (views,) by which pictures are brighter than frames; none: they are not
 
 
 @wp.kernel
-def blur_lines(
-    first: int, values: Pixels, minus: Pixels, stride: int, size: int, taps: wp.array(dtype=wp.float32), blurred: Pixels
-):
-    """blurred: colors and opacities of values - minus, or of values where minus has none, weighed by taps (r + 1,),
-    which begin in the middle, along lines of `size` pixels that lie `stride` apart."""
+def blur_lines(first: int, values: Pixels, stride: int, size: int, taps: wp.array(dtype=wp.float32), blurred: Pixels):
+    """blurred: colors and opacities weighed by taps (r + 1,), which begin in the middle, along lines of `size` pixels
+    that lie `stride` apart."""
     n = first + wp.tid()
     place = (n // stride) % size
     reach = taps.shape[0] - 1
@@ -52,12 +53,8 @@ def blur_lines(
         m = n + k * stride
         if blurred.rgb.shape[0] > 0:
             color += weight * values.rgb[m]
-            if minus.rgb.shape[0] > 0:
-                color -= weight * minus.rgb[m]
         if blurred.alpha.shape[0] > 0:
             opacity += weight * values.alpha[m]
-            if minus.alpha.shape[0] > 0:
-                opacity -= weight * minus.alpha[m]
         k += 1
     if blurred.rgb.shape[0] > 0:
         blurred.rgb[n] = color
@@ -87,43 +84,38 @@ def weigh_differences(
     first: int,
     frames: Pixels,
     targets: Pixels,
-    blurred: Pixels,
+    seen: Pixels,
+    taken: Pixels,
     weights: wp.array(dtype=wp.float32),
     comparison: Comparison,
     slopes: Pixels,
     roots: Pixels,
     losses: wp.array(dtype=wp.float32),
 ):
-    """losses (views * h * w,): what each pixel adds; slopes by the differences, which are `blurred` where that has
-    entries; roots: differences times the roots of their weights. weights: of pixels. Parts are those of targets."""
+    """losses (views * h * w,): what each pixel adds; slopes by `seen`, which are blurred frames, as `taken` are targets;
+    roots: differences times the roots of their weights. weights: of pixels. Parts are those of targets."""
     n = first + wp.tid()
     weight = comparison.scale * weights[n]
     loss = float(0.0)
     if targets.rgb.shape[0] > 0:
-        color = wp.vec3()
-        if blurred.rgb.shape[0] > 0:
-            color = blurred.rgb[n]
-        else:
-            color = frames.rgb[n] - targets.rgb[n]
+        gain = wp.vec3(1.0)
+        if comparison.exposures.shape[0] > 0:
+            gain = comparison.exposures[n // comparison.view_pixels]
+        color = wp.cw_mul(gain, seen.rgb[n]) - taken.rgb[n]
         red = robust_square(color[0], ROBUST, weight / 3.0)
         green = robust_square(color[1], ROBUST, weight / 3.0)
         blue = robust_square(color[2], ROBUST, weight / 3.0)
         loss += red[0] + green[0] + blue[0]
         if slopes.rgb.shape[0] > 0:
-            slopes.rgb[n] = wp.vec3(red[1], green[1], blue[1])
+            slopes.rgb[n] = wp.cw_mul(gain, wp.vec3(red[1], green[1], blue[1]))
         if roots.rgb.shape[0] > 0:
             roots.rgb[n] = wp.vec3(red[2], green[2], blue[2])
     known = float(1.0)
     if targets.depth.shape[0] > 0 and not wp.isfinite(targets.depth[n]):
         known = 0.0
     if targets.alpha.shape[0] > 0:
-        opacity = float(0.0)
-        if blurred.alpha.shape[0] > 0:
-            opacity = blurred.alpha[n]
-        else:
-            opacity = frames.alpha[n] - targets.alpha[n]
         counted = wp.where(comparison.known_alone == 1, known, 1.0)
-        found = robust_square(opacity, ROBUST, ALPHA * weight * counted)
+        found = robust_square(seen.alpha[n] - taken.alpha[n], ROBUST, ALPHA * weight * counted)
         loss += found[0]
         if slopes.alpha.shape[0] > 0:
             slopes.alpha[n] = found[1]

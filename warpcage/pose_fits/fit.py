@@ -16,6 +16,7 @@ from ..core.checks import checked_flag, checked_whole, require_type
 from ..core.names import named_errors
 from ..core.reports import Progress, report_progress, reports_progress
 from ..deform.deformer import Deformer
+from ..edits.edits import CageEdit
 from ..errors import InputError
 from .motions import (
     HANDLES,
@@ -108,6 +109,7 @@ def fit_pose(
     start: Any = None,
     restarts: int = 32,
     max_pixels: int = 400,
+    exposure: bool = False,
     uncertainty: bool = False,
     seed: int = 0,
     progress: bool | Progress = False,
@@ -141,6 +143,8 @@ def fit_pose(
         restarts: How many turns of the start by up to 75 degrees are tried first, beside none, each shifted to where
             the pictures show the object. 0 begins with the start itself.
         max_pixels: Pixels along the longer side of the largest pictures that are compared; larger ones are averaged.
+        exposure: Whether each picture has an exposure and a white balance of its own, three factors that each step of
+            the fit finds anew: for photographs, which were not taken with those of the field's pictures.
         uncertainty: Whether the fit also finds how sure it is, which takes about as long as 50 evaluations.
         seed: Of the turns.
         progress: True shows a bar on stderr. A function is called with (done, total, message) after each evaluation,
@@ -157,12 +161,14 @@ def fit_pose(
     moved = deformer if isinstance(deformer, _Moved) else _Moved(deformer, "fit_pose")
     checked_whole(restarts, "restarts", 0)
     checked_whole(max_pixels, "max_pixels", 1)
+    checked_flag(exposure, "exposure")
     checked_flag(uncertainty, "uncertainty")
     checked_whole(seed, "seed", 0)
     rest = moved.rest
     named = checked_parameters(parameters, len(rest.vertices))
     begin = rest.vertices if start is None else posed_cage(rest, start, "the start of a fit").vertices
-    fit = _Fit(moved, PoseTargets.of(targets, cameras), Priors(rest, begin, regularize), max_pixels, progress)
+    options = {"max_pixels": max_pixels, "exposure": exposure, "progress": progress}
+    fit = _Fit(moved, PoseTargets.of(targets, cameras), Priors(rest, begin, regularize), begin, **options)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of what poses on the way do
         if restarts and not (isinstance(named, np.ndarray) or fit.pictures is None):
@@ -231,10 +237,13 @@ class _Moved:
             raise InputError("a pose is fitted for a deformer of one edit, which moves or copies")
         resolution = None if deformer.resolution is None else min(deformer.resolution, MAX_CELLS)
         options: dict[str, Any] = {"density": deformer.density, "map": deformer.map, "device": deformer.device}
-        self.deformer = Deformer(
-            deformer.field, deformer.edits, coordinates=deformer.coordinates, resolution=resolution, **options
-        )
+        self._options = options | {"coordinates": deformer.coordinates, "resolution": resolution}
+        self.deformer = Deformer(deformer.field, deformer.edits, **self._options)
         self.rest = deformer.edits[0].cage
+
+    def bare(self) -> Deformer:
+        """The field without what the cage moves."""
+        return Deformer(self.deformer.field, [CageEdit(self.rest, remove=True)], **self._options).pose(self.rest)
 
     @functools.cached_property
     def depth_behind(self) -> float:
@@ -250,26 +259,45 @@ class _Moved:
 class _Fit:
     """A fit: its losses by poses, and what it found so far."""
 
-    def __init__(self, moved: _Moved, targets: PoseTargets, priors: Priors, max_pixels: int, progress: bool | Progress):
+    def __init__(
+        self,
+        moved: _Moved,
+        targets: PoseTargets,
+        priors: Priors,
+        begin: np.ndarray,
+        *,
+        max_pixels: int,
+        exposure: bool,
+        progress: bool | Progress,
+    ):
         self._moved, self._deformer, self._rest = moved, moved.deformer, moved.rest
-        self._targets, self._priors = targets, priors
+        self._targets, self._priors, self._exposure = targets, priors, exposure
         self._largest = min(targets.pixel_size, max_pixels)
         self._points = None if targets.points is None else PointLoss(targets, self._rest, self._deformer.device)
         self._history: list[PoseStep] = []
         self._progress, self._done = progress, 0
         self.pictures: PictureLoss | None = None
-        self._at(COARSE["rigid"])
+        self._at(COARSE["rigid"], begin)
 
-    def _at(self, level: _Level) -> None:
-        """Take pictures of this size."""
+    def _at(self, level: _Level, vertices: np.ndarray) -> None:
+        """Take pictures of this size; vertices: of the cage, about where the object is."""
         if self._targets.has_pictures:
             size = max(round(level.share * self._largest), min(MIN_PIXELS, self._largest))
             if self.pictures is not None and self.pictures.size == size:
                 self.pictures = self.pictures.blurred(level.blur)
             else:
                 behind = 0.0 if self._targets.depths is None else self._moved.depth_behind
-                options = self._rest.size, self._deformer.device, behind
-                self.pictures = PictureLoss(self._targets, size, level.blur, *options)
+                self.pictures = PictureLoss(
+                    self._targets,
+                    size,
+                    level.blur,
+                    self._rest.size,
+                    self._deformer.device,
+                    behind,
+                    field=self._deformer.field,
+                    hull=vertices,
+                    exposure=self._exposure,
+                )
 
     def _loss(self, vertices: np.ndarray, *, with_gradient: bool = True) -> tuple[float, np.ndarray]:
         """Loss of a pose without priors, and its gradient (v, 3)."""
@@ -288,6 +316,8 @@ class _Fit:
         """The best of several turns of a start, shifted to where the pictures show the object, after a short fit."""
         assert self.pictures is not None
         random, size = np.random.default_rng(seed), self._rest.size
+        if self._targets.is_whole:
+            self.pictures.see_bare(self._moved.bare())
         axes = random.normal(size=(restarts, 3))
         angles = np.radians(MAX_TURN) * random.random(restarts) ** (1 / 3)  # even in the ball of rotation vectors
         turns = np.concatenate([np.zeros((1, 3)), angles[:, None] * axes / np.linalg.norm(axes, axis=1, keepdims=True)])
@@ -309,7 +339,7 @@ class _Fit:
         else:
             steps = [("basis", level) for level in (COARSE["rigid"], COARSE["affine"], *FINE)]
         for name, level in steps if self._targets.has_pictures else steps[:-1]:
-            self._at(level)
+            self._at(level, vertices)
             motion = self._motion(name, vertices, parameters)
             _, vertices = self._minimize(motion, vertices, level.evaluations, name)
         loss, _ = self._loss(vertices, with_gradient=False)
@@ -363,7 +393,7 @@ class _Fit:
         # Laplace's approximation: the inverse of Gauss-Newton's matrix, from differences of frames, and of the priors'
         # curvature, times the variance of what is left; blurred pixels count as often as they are independent.
         level = COARSE["handles"]
-        self._at(level)
+        self._at(level, vertices)
         basis, step = self._moved.basis[:, :HANDLES], DIFFERENCE * self._rest.size
         basis = basis / np.abs(basis).max(axis=0)
         count = 3 * basis.shape[1]

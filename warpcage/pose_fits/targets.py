@@ -20,10 +20,11 @@ from ..field.voxel_field import VoxelField
 from ..gradients.frame import voxel_gradient
 from ..gradients.loss import column_sums, run_sums
 from ..gradients.splats import views_gradient
-from ..kernels.gradients.differences import Comparison, Pixels, blur_lines, share_depth_slopes, weigh_differences
+from ..kernels.gradients.differences import Comparison, blur_lines, share_depth_slopes, weigh_differences
 from ..scene.scene import Scene
 from ..view.camera import Camera
 from ..view.frame import PART_NAMES, parse_background, part_type
+from .photographs import Surroundings, expose, hull_pixels, pixels_of
 
 #: Pixels that differ by more from the background show the object, where pictures have no opacity.
 SHOWN = 0.06
@@ -45,7 +46,8 @@ class PoseTargets:
             0 where they are not known. None: there are none. Those of frames lie behind the surface; a fit allows for
             that.
         weights: (n, h, w) how much each pixel counts, 0 for what is to be ignored. None counts all.
-        background: Colour behind the object in pictures without opacity, a name or (3,). The field is drawn before it.
+        background: Colour behind the object, a name or (3,). The field is drawn before it. None is white for pictures
+            with opacity, and else what is around the field: its surroundings where it has them, or its own colour.
         points: (p, 3) places of the object at rest, world units. None: there are none.
         positions: (p, 3) where these are now, world units; rows of NaN where that is not known.
         pixels: (n, p, 2) where the cameras see them, pixels from the upper left corner of the picture (the first
@@ -60,15 +62,18 @@ class PoseTargets:
     alphas: Any = None
     depths: Any = None
     weights: Any = None
-    background: Any = "white"
+    background: Any = None
     points: ArrayLike | None = None
     positions: ArrayLike | None = None
     pixels: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        count, color = len(self.cameras), parse_background(self.background)
+        count, shape = len(self.cameras), None if self.images is None else np.shape(self.images)
+        is_whole = shape is not None and self.alphas is None and shape[-1:] == (3,)
+        color = None
+        if self.background is not None or not is_whole:
+            color = parse_background("white" if self.background is None else self.background)
         parts: dict[str, Any] = {"background": color, "cameras": list(self.cameras)}
-        shape = None if self.images is None else np.shape(self.images)
         if shape is not None:
             if len(shape) != 4 or shape[-1] not in (3, 4):
                 raise InputError(f"images of a pose must be (n, h, w, 3) or (n, h, w, 4), got {shape}")
@@ -150,7 +155,7 @@ class PoseTargets:
             if targets.has_sizes:
                 raise InputError("pictures of a pose must be of one size: load the scene with another downscale")
             scene = {"images": targets.images, "alphas": targets.alphas, "weights": targets.weights}
-            return cls(targets.cameras, **scene, background=targets.background)
+            return cls(targets.cameras, **scene, background=None if targets.alphas is None else targets.background)
         if cameras is None:
             raise InputError("arrays of pictures need cameras, one each")
         return cls([cameras] if isinstance(cameras, Camera) else cameras, images=targets)
@@ -159,6 +164,11 @@ class PoseTargets:
     def has_pictures(self) -> bool:
         """Whether there is anything to compare frames with."""
         return any(part is not None for part in (self.images, self.alphas, self.depths))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether pictures show more than the object, and no opacity says what is it."""
+        return self.images is not None and self.alphas is None
 
     @property
     def pixel_size(self) -> int:
@@ -197,13 +207,23 @@ class PictureLoss:
         unit: float,
         device: wp.Device,
         behind: float = 0.0,  # of `depth_behind`
+        *,
+        field: Any = None,  # what targets without a background are around
+        hull: np.ndarray | None = None,  # (v, 3) vertices of a cage that holds the object, about where it is
+        exposure: bool = False,
     ):
         first = targets.cameras[0]
         share = min(size / targets.pixel_size, 1.0)
         width, height = self._sides = tuple(max(round(share * side), 1) for side in (first.width, first.height))
         self.cameras = [camera.resized(width, height) for camera in targets.cameras]
-        self.background, self.size, self._unit = targets.background, max(width, height), unit
+        self.size, self._unit = max(width, height), unit
         self._device, self._spare, self._count = device, SpareMemory(device), len(self.cameras) * height * width
+        self.background, self._around = targets.background, None
+        if self.background is None and field is not None:
+            self.background = field.background
+            if field.background_model is not None:
+                self._around = Surroundings(field.background_model, field.bounds, self.cameras, device)
+                self.background = np.zeros(3, np.float32)
 
         def smaller(values: Any) -> Any:
             return None if values is None else _averaged(values, height, width)
@@ -216,12 +236,17 @@ class PictureLoss:
             known = np.isfinite(targets.depths) & (targets.depths > 0)
             mean = smaller(np.where(known, targets.depths, 0))
             self.depths = np.where(smaller(known.astype(np.float32)) > 0.999, mean, np.float32(np.nan))
+        if exposure and self.images is not None and self.alphas is not None:  # what is cut out has one, white has none
+            self.images = self.images - (1 - self.alphas[..., None]) * self.background
+            self.background = np.zeros(3, np.float32)
+        self._exposure, self._bare = exposure and self.images is not None, self.background
+        self._most = np.inf if hull is None else hull_pixels(self.cameras, hull)
         # what has a depth is covered: a pose may not leave it out
         alphas = ones if self.alphas is None and self.depths is not None else self.alphas
         parts = {"rgb": self.images, "alpha": alphas, "depth": self.depths}
-        held = {name: self._uploaded(values, name) for name, values in parts.items() if values is not None}
-        self._names, self._pictures, self._weights = list(held), _pixels(held), self._uploaded(self.weights, "alpha")
-        self._middle, self._behind = self._middles(self._shown()), behind
+        self._pictures = {name: self._uploaded(values, name) for name, values in parts.items() if values is not None}
+        self._names, self._weights = list(self._pictures), self._uploaded(self.weights, "alpha")
+        self._behind = behind
         self._begin(blur)
 
     def _begin(self, blur: float) -> None:
@@ -229,7 +254,12 @@ class PictureLoss:
         self.blur, self._comparison = blur, Comparison()
         self._comparison.unit, self._comparison.behind = self._unit, self._behind
         self._comparison.known_alone = int(self.alphas is None)
+        self._comparison.view_pixels = self._sides[0] * self._sides[1]
+        if self._exposure:
+            ones = np.ones((len(self.cameras), 3), np.float32)
+            self._comparison.exposures = wp.array(ones, dtype=wp.vec3, device=self._device)
         self._taps = wp.array(gaussian_taps(blur), dtype=wp.float32, device=self._device) if blur else None
+        self._taken = self._blurred(self._pictures)
 
     def blurred(self, blur: float) -> PictureLoss:
         """The same pictures with another blur of differences, pixels."""
@@ -246,7 +276,14 @@ class PictureLoss:
         """The parts of the last pose's frames, (n * h * w,) each."""
         self._spare.keep(FRAME_BYTES * self._count)  # the host waits once an evaluation
         arrays = deformer.render(self.cameras, background=self.background).arrays
-        return {name: array_view(arrays[name], part_type(name), self._count) for name in PART_NAMES}
+        found = {name: array_view(arrays[name], part_type(name), self._count) for name in PART_NAMES}
+        if self._around is not None and self.images is not None:
+            found["rgb"] = self._around.composed(pixels_of(found))
+        return found
+
+    def see_bare(self, deformer: Any) -> None:
+        """Take what a Deformer shows without the object, by which `shift` knows it in whole pictures."""
+        self._bare = self.frames(deformer)["rgb"].numpy().reshape(self.images.shape)
 
     def __call__(self, deformer: Any, *, with_gradient: bool = True) -> tuple[float, Any]:
         """The loss of the last pose of a Deformer, and its gradient (v, 3) by the posed cage's vertices, or 0."""
@@ -261,11 +298,14 @@ class PictureLoss:
         """Numbers (m, 1) whose sum is the loss of frames, and slopes (n * h * w,) by their parts that count."""
         slopes = self._parts(self._names if with_slopes else ())
         losses = run_sums(self._weighed(frames, slopes, {}))
-        if with_slopes and self._taps is not None:
-            slopes |= self._blurred(slopes, Pixels())
+        slopes |= self._blurred(slopes)
         if "depth" in slopes:
-            inputs = [_pixels(frames), self._pictures, self._comparison]
-            launch(share_depth_slopes, self._count, inputs, [_pixels(slopes)], device=self._device)
+            inputs = [pixels_of(frames), pixels_of(self._pictures), self._comparison]
+            launch(share_depth_slopes, self._count, inputs, [pixels_of(slopes)], device=self._device)
+        if self._around is not None and "rgb" in slopes:
+            if "alpha" not in slopes:
+                slopes["alpha"] = wp.zeros(self._count, dtype=wp.float32, device=self._device)
+            self._around.pull(pixels_of(slopes))
         return losses, slopes
 
     def _by_vertices(self, deformer: Any, slopes: dict[str, wp.array]) -> wp.array | None:
@@ -287,29 +327,35 @@ class PictureLoss:
         times the roots of their weights."""
         if not self._comparison.scale:
             self._comparison.scale = 1.0 / self._covered(frames)
-        blurred = {} if self._taps is None else self._blurred(frames, self._pictures)
+        seen = self._blurred(frames)
+        if self._exposure:
+            sides = *self._sides, self._weights, self._comparison.exposures
+            expose(seen["rgb"], self._taken["rgb"], *sides)
         losses = empty_array((self._count, 1), wp.float32, self._device)
-        inputs = [_pixels(frames), self._pictures, _pixels(blurred), self._weights, self._comparison]
-        outputs = [_pixels(slopes), _pixels(roots), losses.flatten()]
+        compared = [pixels_of(parts) for parts in (frames, self._pictures, seen, self._taken)]
+        inputs = [*compared, self._weights, self._comparison]
+        outputs = [pixels_of(slopes), pixels_of(roots), losses.flatten()]
         launch(weigh_differences, self._count, inputs, outputs, device=self._device)
         return losses
 
-    def _blurred(self, values: dict[str, wp.array], minus: Any) -> dict[str, wp.array]:
-        """Colours and opacities of values - minus, blurred."""
-        assert self._taps is not None
+    def _blurred(self, values: dict[str, wp.array]) -> dict[str, wp.array]:
+        """Those colours and opacities of values that are compared, blurred."""
+        names = [name for name in self._names if name != "depth" and name in values]
+        values = {name: values[name] for name in names}
         width, height = self._sides
-        for stride, side in ((1, width), (width, height)):
-            found = self._parts([name for name in self._names if name != "depth"])
-            inputs = [_pixels(values), minus, stride, side, self._taps]
-            launch(blur_lines, self._count, inputs, [_pixels(found)], device=self._device, work=8 * self._taps.size)
-            values, minus = found, Pixels()
+        for stride, side in ((1, width), (width, height)) if self._taps is not None and names else ():
+            found = self._parts(names)
+            inputs = [pixels_of(values), stride, side, self._taps]
+            launch(blur_lines, self._count, inputs, [pixels_of(found)], device=self._device, work=8 * self._taps.size)
+            values = found
         return values
 
     def _covered(self, frames: dict[str, wp.array]) -> float:
         """How many pixels the object covers, of the first frames where pictures have no opacity."""
         if self.alphas is not None:
             return max(float(np.sum(self.alphas)), 1.0)
-        return max(float(column_sums(frames["alpha"].reshape((self._count, 1)))[0]), 1.0)
+        covered = float(column_sums(frames["alpha"].reshape((self._count, 1)))[0])
+        return max(min(covered, self._most), 1.0)  # a field may hold more than the object
 
     def differences(self, deformer: Any) -> np.ndarray:
         """(m,) all differences of the last pose by the roots of their weights: the sum of squares is about the loss."""
@@ -321,7 +367,7 @@ class PictureLoss:
         """(3,) by which the last pose must move, so that silhouettes lie where the pictures have them."""
         # Middles of silhouettes; the least squares of what the cameras see of a shift at the distance of the center.
         rows, right = [1e-3 * np.eye(3)], [np.zeros(3)]
-        off = self._middle - self._middles(self._shown(self.frames(deformer)))
+        off = self._middles(self._shown()) - self._middles(self._shown(self.frames(deformer)))
         for camera, pixels in zip(self.cameras, off, strict=True):
             if np.isfinite(pixels).all():
                 depth = max(float((center - camera.center) @ camera.rotation[:, 2]), 1e-6 * self._unit)
@@ -338,7 +384,10 @@ class PictureLoss:
         if self.alphas is not None:
             return seen("alpha", self.alphas)
         if self.images is not None:
-            return np.abs(seen("rgb", self.images) - self.background).max(axis=-1) > SHOWN
+            images = self.images
+            if self._exposure and frames is None:
+                images = images / self._comparison.exposures.numpy()[:, None, None, :]
+            return np.abs(seen("rgb", images) - self._bare).max(axis=-1) > SHOWN
         assert self.depths is not None
         return np.isfinite(seen("depth", self.depths))
 
@@ -350,14 +399,6 @@ class PictureLoss:
         return np.stack(
             [weights.sum(axis=across) @ (np.arange(shown.shape[3 - across]) + 0.5) / total for across in (1, 2)], axis=1
         )
-
-
-def _pixels(parts: dict[str, wp.array]) -> Any:
-    """The Pixels of arrays by names of a frame's parts."""
-    pixels = Pixels()
-    for name, array in parts.items():
-        setattr(pixels, name, array)
-    return pixels
 
 
 def gaussian_taps(blur: float) -> np.ndarray:

@@ -9,11 +9,12 @@ from warpcage import Cage, Scene, turntable
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """The ball of `write_files`, and pictures of it by formula after a shift."""
+    """The ball of `write_files`, and pictures of it by formula after a shift: cut out, and whole, darker and redder."""
     folder = write_files(tmp_path_factory.mktemp("fit_pose"))
     cameras = turntable((0, 0, 0), 3.0, 20, 4, width=28, height=24, fov_degrees=40)
     images, alphas = zip(*(shifted_ball(camera) for camera in cameras), strict=True)
     Scene(np.stack(images), np.stack(alphas), cameras).save(folder / "moved")
+    Scene(np.stack(images) * np.float32([0.9, 0.75, 0.6]), None, cameras).save(folder / "photographs")
     return folder
 
 
@@ -32,9 +33,10 @@ def shifted_ball(camera):
     return (alpha[..., None] * color + 1 - alpha[..., None]).astype(np.float32), alpha
 
 
-def test_a_shift_is_found_and_written(files, capsys):
+@pytest.mark.parametrize("pictures", [("@moved",), ("@photographs", "--exposure")], ids="cut out,whole".split(","))
+def test_a_shift_is_found_and_written(files, pictures, capsys):
     options = ("--parameters", "rigid", "--restarts", "0", "--quiet", "--device", "cpu")
-    command = ("fit-pose", "@ball.npz", "--cage", "@cage.obj", "--pictures", "@moved", "-o", "@found.obj")
+    command = ("fit-pose", "@ball.npz", "--cage", "@cage.obj", "--pictures", *pictures, "-o", "@found.obj")
     succeed(files, *command, *options)
     said = capsys.readouterr().out
     assert "found.obj: 3 pictures, " in said and "evaluations, loss " in said

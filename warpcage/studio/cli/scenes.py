@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import pathlib
 
@@ -26,6 +27,7 @@ from ...fitting.fit import fit
 from ...fitting.memory import memory_size
 from ...mesh.io.formats import mesh_endings
 from ...pose_fits.fit import fit_pose
+from ...pose_fits.targets import PoseTargets
 from ...render.belonging import SceneViews
 from ...scene.formats.datasets.splatting import is_output
 from ...scene.load import load_scene
@@ -160,8 +162,11 @@ def run_fit_pose(args: argparse.Namespace) -> None:
         orient=field.straightening,
     )
     deformer = Deformer(field, rest.cage, **shared.shot_of(args).deformer_options(MAX_CELLS))
-    given = {name: getattr(args, name) for name in "parameters regularize restarts max_pixels seed".split()}
-    found = fit_pose(deformer, scene, start=start, **given, progress=not args.quiet)
+    targets = PoseTargets.of(scene)
+    if args.background is not None:
+        targets = dataclasses.replace(targets, background=args.background)
+    given = {name: getattr(args, name) for name in "parameters regularize restarts max_pixels exposure seed".split()}
+    found = fit_pose(deformer, targets, start=start, **given, progress=not args.quiet)
     found.cage.save(output)
     evaluations = sum(len(step.losses) for step in found.history)
     print(f"wrote {output}: {counted(len(scene), 'picture')}, {evaluations} evaluations, loss {found.loss:.3g}")

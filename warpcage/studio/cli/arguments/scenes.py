@@ -136,22 +136,24 @@ command(
     """\
   warpcage fit-pose toy.npz --cage cage.obj --pictures bent -o pose.obj
   warpcage fit-pose toy.npz --cage cage.obj --pictures bent -o pose.obj --parameters handles --max-pixels 200
+  warpcage fit-pose toy.npz --cage cage.obj --pictures photographs -o pose.obj --exposure
   warpcage render toy.npz --cage cage.obj --posed pose.obj --camera bent:0 -o found.png
 """,
     f"""
 field
 --cage REST  cage around the object ({CAGES})
 --pictures SCENE  folder with pictures of the posed object and their cameras, in the field's world: with opacity, with
-    masks, or before one colour (formats as for warpcage fit)
+    masks, or whole, before one colour or what is around the field (formats as for warpcage fit)
 -o POSE  posed cage to write ({CAGES})
 --split
 --downscale
---background COLOUR  {COLORS}: behind the object (default: white)
+--background COLOUR  {COLORS}: behind the object (default: white with opacity or masks, else what is around the field)
 --start POSED  pose to begin with, a cage file or a preset such as bend:40:x:z (default: the cage at rest)
 --parameters  what may move in the end; handles are the smoothest shapes of the cage (default: %(default)s)
 --regularize WEIGHT  weight of the prior that neighbours move rigidly (default: %(default)s)
 --restarts N  turns of the start that are tried first; 0 begins with the start itself (default: %(default)s)
 --max-pixels N  pixels along the longer side of the largest pictures that are compared (default: %(default)s)
+--exposure  find an exposure and a white balance for each picture, for photographs
 {CAGE_UP_FOUND}
 --posed-up
 --coordinates
