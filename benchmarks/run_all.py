@@ -46,6 +46,7 @@ QUICK = {
     "growth": "growth measure --quick --device cpu --runs 1 --only frame-edits --json {out}/growth.json",
     "same_bits": "same-bits {tree} --only pose mesh",
     "poses_known": "poses known --quick --json {out}/poses_known.json --figure {out}/poses.jpg",
+    "poses_captured": "poses captured --quick --json {out}/poses_captured.json --figure {out}/captured.jpg",
     "coverage": "truth coverage --device cpu --size 40 --test-views 1 --edge 0.4 --json {out}/coverage.json",
     "captures": "captures --video --device cpu --width 192 --degrees 100 --video-frames 16 --frames 10"
     " --json {out}/captures.json",
@@ -89,7 +90,7 @@ QUICK = {
 LONG = (
     "compile batch_kills truth batch_scale table1 splats_truth every_kernel same_bits coverage captures"
     " cages_generated cages_shapes cages_limbs random_cages cages_random_poses lattice_by_size editor by_turns"
-    " poses_known batch_memory page_batch_scale page_captures page_trends page_results"
+    " poses_known poses_captured batch_memory page_batch_scale page_captures page_trends page_results"
 ).split()
 
 

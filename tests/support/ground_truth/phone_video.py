@@ -137,12 +137,12 @@ def write_phone_video(
     return true
 
 
-def table_scene() -> Model:
-    """The excavator of bricks on a table with a patchwork cloth and objects around it, in a room of coloured panels.
-    +z is up, the excavator around the origin."""
+def table_scene(model: Model | None = None) -> Model:
+    """A model, or else the excavator of bricks, on a table with a patchwork cloth and objects around it, in a room of
+    coloured panels. +z is up, the model around the origin; its vertices and faces come first."""
     rng = np.random.default_rng(5)
-    vertices, faces, colors = brick_model()
-    vertices = vertices * np.array([1.0, 1.0, 1.0]) + [0.0, 0.0, TOP - vertices[:, 2].min()]
+    vertices, faces, colors = brick_model() if model is None else model
+    vertices = vertices + [0.0, 0.0, TOP - vertices[:, 2].min()]
     parts: list[Model] = [(vertices, faces, colors)]
     parts.append(_patchwork([-TABLE, -TABLE, TOP], [2 * TABLE, 0, 0], [0, 2 * TABLE, 0], 30, rng))
     for k in range(4):  # walls, seen from inside
