@@ -27,7 +27,12 @@ SMALLER = {
         "falloff=0.3": 'falloff=0.3, held="still"',  # a short fit has no solid matter that a wall could cut
     },
     "batch.md": {"10_000": "3"},
-    "fit_pose.md": {'load_scene("bent")': 'load_scene("bent"), max_pixels=12, restarts=0, parameters="rigid"'},
+    "fit_pose.md": {
+        'load_scene("bent")': 'load_scene("bent"), max_pixels=12, restarts=0, parameters="rigid"',
+        'load_scene("both", split="all")': 'load_scene("my_capture")',
+        "name.startswith(label)": 'k % 2 == (label == "rest")',
+        ".save(label)": '.save(label + "_of_both")',
+    },
     "films.md": {"size=160": "size=40", "width=640, height=480": "width=64, height=48"},
     "select.md": {'pixel=(486, 518), camera=scene.cameras[12], plane="wall"': "point=(-0.15, 0.1, 0.2)"},
     "splats.md": {"vertex_count=100": "40", "width=640, height=480": "width=64, height=48", "41, 2": "41, 20"},
