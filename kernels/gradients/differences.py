@@ -92,7 +92,7 @@ def weigh_differences(
     roots: Pixels,
     losses: wp.array(dtype=wp.float32),
 ):
-    """losses (views * h * w,): what each pixel adds; slopes by `seen`, which are blurred frames, as `taken` are targets;
+    """losses (views * h * w,): what each pixel adds; slopes by `seen`, blurred frames, as `taken` are targets;
     roots: differences times the roots of their weights. weights: of pixels. Parts are those of targets."""
     n = first + wp.tid()
     weight = comparison.scale * weights[n]
