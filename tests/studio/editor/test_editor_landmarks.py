@@ -236,6 +236,23 @@ def test_what_cannot_be_dragged_is_refused(tmp_path):
     with_pages(test, tmp_path, 2, session=session)
 
 
+def test_a_press_is_on_the_pose_of_now(tmp_path, monkeypatch):
+    """Not on that of the last picture, which may be older than a command before it."""
+    session = session_of(tiny_field())
+
+    async def test(server, page):
+        await page.until(lambda: page.frames and page.frames[-1]["sharp"])
+        count = len(page.frames)
+        await page.do(do="edit.change", id=1, visible=False)
+        await page.until(lambda: len(page.frames) > count)
+        monkeypatch.setattr(server.renderer, "request", lambda request: None)
+        await page.do(do="undo")
+        await pin(page, MIDDLE)
+
+    with_pages(test, tmp_path, session=session)
+    assert len(session.document.edits[0].landmarks.places) == 1
+
+
 def test_a_place_of_the_object_is_dragged_on_the_page(window: Window, editor: Any) -> None:
     looks_cheap(window)
     window.rest()

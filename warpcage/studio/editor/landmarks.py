@@ -22,7 +22,7 @@ from ...render.surface_mesh import SurfaceMesh
 from ...splats.splat_field import SplatField
 from ..films.checks import MAX_LINE, checked_triple, frozen_vertices
 from ..films.document import Document, Edit, Landmarks, Message
-from ..films.session.scene import PosedScene, clicked_pixel
+from ..films.session.scene import PosedScene, clicked_pixel, same_pose
 from .commands import require_landmark
 from .renderer import COARSE_CELLS, Renderer
 from .session import Session
@@ -221,10 +221,9 @@ def _picker(document: Document, edit: Edit, message: Message) -> Callable[[Posed
     owner = document.scene_object(edit.object_id)
 
     def pick(scene: PosedScene) -> tuple[np.ndarray, np.ndarray]:
-        try:
-            posed = scene.posed(owner.id)
-        except KeyError:
-            raise InputError(f"the first picture of {owner.name} is being made: wait for it") from None
+        if scene.held is None or not same_pose(scene.held[0], document):  # the last picture is of another pose
+            scene.prepare(document, min(document.settings.resolution, CELLS))
+        posed = scene.posed(owner.id)
         seen = scene.surface_at(owner.id, owner.place, pixel)
         if seen is None or not isinstance(posed, Deformer):
             raise InputError(f"nothing of {owner.name} is seen there: press on the object")

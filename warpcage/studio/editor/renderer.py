@@ -244,7 +244,6 @@ class Renderer:
         self._closed = False
         self._times: list[float] = []
         self._warm: set[tuple[Any, ...]] = set()
-        self._held: tuple[Document, int] | None = None  # what is posed, and with how many cells
         self._encoder = concurrent.futures.ThreadPoolExecutor(1, "warpcage-jpeg")
         self._sent: concurrent.futures.Future | None = None
         self._thread = threading.Thread(target=self._run, name="warpcage-renderer", daemon=True)
@@ -324,20 +323,18 @@ class Renderer:
 
     def show(self, request: Request, sharp: bool) -> None:
         """Render a picture and deliver it, in the renderer's thread."""
-        settings = request.document.settings
+        settings, held = request.document.settings, self._scene.held
         if sharp:
             effort = _sharp_effort(request)
         else:
-            posing = self._held is None or not same_pose(self._held[0], request.document)
+            posing = held is None or not same_pose(held[0], request.document)
             effort = self.pace.moving(request.width, request.height, settings.resolution, settings.coordinates, posing)
         self._warm_up(request.document, effort)
         started = time.perf_counter()
-        held, self._held = self._held, None
         fresh = held is None or held[1] != effort.cells or not same_pose(held[0], request.document)
         self._scene.prepare(request.document, effort.cells)
         if fresh:
             wp.synchronize_device(self._field.device)
-        self._held = (request.document, effort.cells)
         posed = time.perf_counter()
         pixels, shares = self._pixels(request, effort)
         done = time.perf_counter()

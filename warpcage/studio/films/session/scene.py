@@ -110,6 +110,7 @@ class PosedScene:
         self.fields = Fields.of(fields)
         self._posed: dict[int, PosedObject] = {}  # by the number of the object
         self.stage: Stage | None = None  # of the last `prepare`; None for the session's own field in its own place
+        self.held: tuple[Document, int | None] | None = None  # what is posed, and with how many cells
 
     def posed(self, number: int) -> AnyObject | Deformer:
         """An object of the last `prepare` in which it was seen: a Deformer, or its field where that is as it is."""
@@ -119,7 +120,7 @@ class PosedScene:
     def prepare(self, document: Document, resolution: int | None = None) -> None:
         """Make the scene of a document's objects, edits and settings; where that fails, the scene before stays.
         `resolution`: cells of the lattices along the longest side of a cage, None is that of the settings."""
-        objects = [one for one in document.objects if one.visible]
+        objects, self.held = [one for one in document.objects if one.visible], None
         for scene_object in objects:
             field, posed = self.fields.field(scene_object), self._posed.get(scene_object.id)
             if posed is None:
@@ -127,13 +128,12 @@ class PosedScene:
             posed.prepare(document.edits_of(scene_object.id), document.settings, resolution)
         for gone in set(self._posed) - {scene_object.id for scene_object in document.objects} - {MAIN}:
             del self._posed[gone]
-        if objects == [document.objects[0]] and not document.is_staged:
-            self.stage = None
-            return
-        stage = Stage(device=self.fields.main.device)
-        for scene_object in objects:
-            stage.add(str(scene_object.id), self.posed(scene_object.id), place=scene_object.place)
-        self.stage = stage
+        stage = None
+        if objects != [document.objects[0]] or document.is_staged:
+            stage = Stage(device=self.fields.main.device)
+            for scene_object in objects:
+                stage.add(str(scene_object.id), self.posed(scene_object.id), place=scene_object.place)
+        self.stage, self.held = stage, (document, resolution)
 
     def render(self, camera: Camera, look: Look = PLAIN) -> Frame:
         """The view of a camera of the scene that was prepared last; a field without a Deformer has no masks."""
@@ -235,7 +235,8 @@ def same_pose(one: Document, two: Document) -> bool:
     """Whether two documents pose the scene alike."""
 
     def pose(document: Document) -> tuple[Any, ...]:
-        edits = tuple((edit.visible, edit.posed, *_made_of(edit)) for edit in document.edits)
-        return document.settings.mode, document.settings.deformer_options(0), edits
+        shown = tuple((one.id, one.file, one.visible) for one in document.objects)
+        edits = tuple((edit.object_id, edit.visible, edit.posed, *_made_of(edit)) for edit in document.edits)
+        return document.settings.mode, document.settings.deformer_options(0), shown, edits
 
     return same(pose(one), pose(two))
