@@ -49,7 +49,7 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "field.columns.link_rows", "field.occupancy.spread_distance", "field.colors.",
              "field.march.rows.", "field.march.shaded.", "render.views.rows", "render.views.shaded",
              "render.shading.", "edits.fine_cells.", "edits.inverse.", "core.texels.",
-             "edits.nodes.", "view.tile_order.",
+             "edits.nodes.", "view.tile_order.", "gradients.frame.weigh_samples", "gradients.frame.sum_samples",
              "fitting.splat_step.check_room", "fitting.splat_loss.find_slopes_of_tiles",
              "fitting.splat_loss.find_window_slopes_of_tiles",
              "splats.composite.add_", "splats.composite.composite_pixels", "splats.packed_rows.",
@@ -156,6 +156,9 @@ def fits(device) -> None:
         if field.background_model is not None:
             field.background_model.sample(*(each.reshape(-1, 3) for each in scene.cameras[0].rays()))
             warpcage.Deformer(field, CAGE, resolution=12).pose(POSE).render(scene.cameras[0])
+    shown = warpcage.PoseTargets(whole.cameras, images=whole.images)
+    deformer = warpcage.Deformer(field, CAGE, resolution=12).pose(POSE)
+    PoseLoss(shown, 20, 1.0, CAGE.size, field.device, field=field, exposure=True)(deformer)
     optimizer = FieldOptimizer(train, device=device, resolution=24, levels=2, least_steps=4)
     for _ in range(3):
         optimizer.step()
