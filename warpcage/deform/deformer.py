@@ -314,8 +314,18 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
     @overload
     def render(self, camera: Sequence[Camera], **options: Unpack[ViewKeywords]) -> Frames: ...
     @takes_options(PoseKeywords)
-    def render(self, camera: Camera | Sequence[Camera], **options: Unpack[ViewKeywords]) -> Frame | Frames:
+    def render(
+        self,
+        camera: Camera | Sequence[Camera],
+        *,
+        outputs: str | Sequence[str] = (),
+        flow_pose: PoseLike | Sequence[PoseLike | None] | None = None,
+        flow_camera: Camera | Sequence[Camera] | None = None,
+        **options: Unpack[PoseKeywords],
+    ) -> Frame | Frames:
         """The view of a camera of the deformed scene, with the masks reveal, fold and outside; or those of several.
+
+        A background model stays where it is however the cages move, and shows where they clear.
 
         Args:
             camera: The camera; or cameras of one size, whose views are launched without waiting for the host.
@@ -323,8 +333,7 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
                 "canonical", "flow", "instance".
             flow_pose: Pose to which "flow" goes, as `pose` takes them. None is the pose of the view.
             flow_camera: Camera to which "flow" goes, one for all views or one each. None is the camera of the view.
-            options: These, and options of the frame by keyword, see docs/python.md. A background model stays where it
-                is however the cages move, and shows where they clear.
+            options: Options of the frame by keyword, see docs/python.md.
 
         Returns:
             The frame, its arrays on the device; the Frames of several cameras, in one allocation there.
@@ -336,7 +345,8 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
                 known, and flow without `flow_pose` or `flow_camera`.
         """
         with self.lock:
-            return PosedDeformer(self, self._posed_cages()).render(camera, **options)
+            posed, aims = PosedDeformer(self, self._posed_cages()), {"flow_pose": flow_pose, "flow_camera": flow_camera}
+            return posed.render(camera, outputs=outputs, **aims, **options)
 
     def _render(self, camera: Camera, options: RenderOptions) -> Frame:
         """As that of a PosedDeformer."""

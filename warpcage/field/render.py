@@ -130,15 +130,25 @@ def render_options(options: Mapping[str, Any], keywords: type) -> RenderOptions:
 
 
 def takes_options(keywords: type) -> Callable[[Decorated], Decorated]:
-    """Decorates a method with these keywords: adds what each of them does to its docstring, behind `options`."""
-    known, options = keywords.__annotations__, options_of(RenderOptions).items()
-    texts = [f"    {name}: {each.help}" for name, each in options if name in known]
+    """Decorates a method with these keywords: its signature and docstring have them in place of **options."""
+    options = {name: each for name, each in options_of(RenderOptions).items() if name in keywords.__annotations__}
+    texts = [f"    {name}: {each.help}" for name, each in options.items()]
     lines = "".join("\n" + textwrap.fill(text, 108, subsequent_indent=8 * " ") for text in texts)
+    types = {name: getattr(kind, "__forward_arg__", kind) for name, kind in keywords.__annotations__.items()}
 
     def decorate(method: Any) -> Any:
         if method.__doc__ is not None:  # as it is with `python -OO`
             entry = re.compile(r"\n    options: .*(\n {8}.*)*")
-            method.__doc__ = entry.sub(lambda found: found[0] + lines, inspect.cleandoc(method.__doc__))
+            method.__doc__ = entry.sub(lambda found: lines, inspect.cleandoc(method.__doc__))
+        signature = inspect.signature(method)
+        *given, _ = signature.parameters.values()  # the last is **options
+        by_name = [
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=getattr(RenderOptions, name), annotation=types[name]
+            )
+            for name in options
+        ]
+        method.__signature__ = signature.replace(parameters=[*given, *by_name])
         return method
 
     return decorate

@@ -103,6 +103,10 @@ def test_keywords_are_the_options_of_a_frame():
 
 @pytest.mark.parametrize(("method", "keywords"), TAKERS.items(), ids=[each.__qualname__ for each in TAKERS])
 def test_help_describes_the_options_that_a_method_takes(method, keywords):
+    parameters = inspect.signature(method).parameters
+    assert set(keywords.__annotations__) <= set(parameters) and "options" not in parameters
+    defaults = {name: parameters[name].default for name in keywords.__annotations__ if hasattr(RenderOptions, name)}
+    assert defaults == {name: getattr(RenderOptions, name) for name in defaults}
     text = " ".join(inspect.getdoc(method).split())
     described = {name for name, each in options_of(RenderOptions).items() if f" {name}: {each.help} " in text}
     assert described == set(options_of(RenderOptions)) & set(keywords.__annotations__)
