@@ -39,14 +39,14 @@ class Surroundings:
         self._around.light = wp.array(light, dtype=wp.float32, device=device)
         self._around.behind = wp.array(clear - front, dtype=wp.vec3, device=device)
 
-    def composed(self, frames: Pixels) -> wp.array:
+    def composed(self, frames: Any) -> wp.array:
         """Colours of frames with what is around them, from those before black and opacities."""
         count = frames.rgb.size
         colors = empty_array(count, wp.vec3, self._device)
         launch(compose_surroundings, count, [frames, self._around], [colors], device=self._device)
         return colors
 
-    def pull(self, slopes: Pixels) -> None:
+    def pull(self, slopes: Any) -> None:
         """Turn slopes by composed colours into those by colours before black and opacities, in place."""
         launch(pull_surroundings, slopes.rgb.size, [self._around], [slopes], device=self._device)
 
@@ -80,7 +80,7 @@ def expose(seen: wp.array, taken: wp.array, width: int, height: int, weights: wp
         launch(solve_exposures, exposures.size, [*sums, height], [exposures], device=device, work=height)
 
 
-def pixels_of(parts: dict[str, wp.array]) -> Pixels:
+def pixels_of(parts: dict[str, wp.array]) -> Any:
     """The Pixels of arrays by names of a frame's parts."""
     pixels = Pixels()
     for name, array in parts.items():

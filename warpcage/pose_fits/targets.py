@@ -329,8 +329,8 @@ class PictureLoss:
             self._comparison.scale = 1.0 / self._covered(frames)
         seen = self._blurred(frames)
         if self._exposure:
-            sides = *self._sides, self._weights, self._comparison.exposures
-            expose(seen["rgb"], self._taken["rgb"], *sides)
+            width, height = self._sides
+            expose(seen["rgb"], self._taken["rgb"], width, height, self._weights, self._comparison.exposures)
         losses = empty_array((self._count, 1), wp.float32, self._device)
         compared = [pixels_of(parts) for parts in (frames, self._pictures, seen, self._taken)]
         inputs = [*compared, self._weights, self._comparison]
@@ -341,12 +341,13 @@ class PictureLoss:
     def _blurred(self, values: dict[str, wp.array]) -> dict[str, wp.array]:
         """Those colours and opacities of values that are compared, blurred."""
         names = [name for name in self._names if name != "depth" and name in values]
-        values = {name: values[name] for name in names}
-        width, height = self._sides
-        for stride, side in ((1, width), (width, height)) if self._taps is not None and names else ():
+        values, taps, (width, height) = {name: values[name] for name in names}, self._taps, self._sides
+        if taps is None or not names:
+            return values
+        for stride, side in ((1, width), (width, height)):
             found = self._parts(names)
-            inputs = [pixels_of(values), stride, side, self._taps]
-            launch(blur_lines, self._count, inputs, [pixels_of(found)], device=self._device, work=8 * self._taps.size)
+            inputs = [pixels_of(values), stride, side, taps]
+            launch(blur_lines, self._count, inputs, [pixels_of(found)], device=self._device, work=8 * taps.size)
             values = found
         return values
 
