@@ -26,6 +26,7 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
 
 os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # JAX would take most of a GPU for each worker
 
+import filelock
 import pytest
 import warp as wp
 
@@ -69,6 +70,16 @@ def pytest_sessionstart(session):
         own = [file for file in files if wp.get_module(file.__name__).kernels]
         load_modules([*own, *(kernel for file in files for kernel in getattr(file, "variants", list)())], "cpu")
     gc.enable()  # this process collects no tests
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector):
+    """One worker at a time imports a file of tests, as the first one compiles it for all: that takes longer than the
+    rest of collecting. The others follow it through the files."""
+    if not isinstance(collector, pytest.Module) or not hasattr(collector.config, "workerinput"):
+        return (yield)
+    with filelock.FileLock(collector.config.cache.mkdir("collected") / f"{collector.path.stem}.lock"):
+        return (yield)
 
 
 def pytest_collection_modifyitems(items):
