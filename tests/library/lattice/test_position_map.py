@@ -27,8 +27,8 @@ STORES = ("map", "weights")
 
 def by_day(is_by_day, *values):
     """All combinations of values; those that are not by day run at night alone."""
-    for each in itertools.product(*values):
-        yield pytest.param(*each, marks=() if is_by_day(*each) else pytest.mark.nightly)
+    night = pytest.mark.nightly
+    return [pytest.param(*each, marks=() if is_by_day(*each) else night) for each in itertools.product(*values)]
 
 
 def cage_named(name):
@@ -317,7 +317,7 @@ def test_maps_that_are_begun(kind, graphs, device, monkeypatch):
     """The last one begun is the one that is finished. What `begin` returns is the map, but for the sides of gaps."""
     set_graphs(monkeypatch, graphs)
     rest = cage_named("icosphere")
-    options = {"coordinates": kind, "resolution": 24, "device": device}
+    options = {"coordinates": kind, "resolution": 16, "device": device}
     kept = PositionMap(rest, **options).warm()
     for angle in (30, 10, 20):
         kept.begin(rest.bend(30 - angle))
