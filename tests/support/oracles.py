@@ -322,15 +322,17 @@ def quad_mean_value_weights(points, vertices, quads, order=12):
             middles = corners.mean(axis=1)
             radii = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
             clear = np.linalg.norm(middles, axis=1) > 2.5 * radii
-            u, v = (squares[clear, k, None, None] + squares[clear, 2, None, None] * nodes for k in (0, 1))
-            u, v = np.broadcast_arrays(np.swapaxes(u, 1, 2), v)
-            a, b, c, d = (seen[rows[clear], k][:, None, None] for k in range(4))
-            basis, one, two = bilinear(u, v), u[..., None], v[..., None]
-            x = sum(basis[..., k, None] * corner for k, corner in enumerate((a, b, c, d)))
-            normal = np.cross((1 - two) * (b - a) + two * (c - d), (1 - one) * (d - a) + one * (c - b))
-            value = (x * normal).sum(axis=-1) / (x**2).sum(axis=-1) ** 2 * shares * squares[clear, 2, None, None] ** 2
-            for k, corner in enumerate(quad):
-                np.add.at(weights, (rows[clear], corner), (value * basis[..., k]).sum(axis=(1, 2)))
+            u, v = (squares[clear, k, None] + squares[clear, 2, None] * nodes for k in (0, 1))
+            around = seen[rows[clear]]
+            a, b, c, d = (around[:, k, None] for k in range(4))
+            # slopes: each varies along the other direction alone
+            along_u = (1 - v[..., None]) * (b - a) + v[..., None] * (c - d)
+            along_v = (1 - u[..., None]) * (d - a) + u[..., None] * (c - b)
+            basis = bilinear(u[:, :, None], v[:, None, :])
+            x, normal = basis @ around[:, None], np.cross(along_u[:, None], along_v[:, :, None])
+            value = np.einsum("tijc,tijc->tij", x, normal) / np.einsum("tijc,tijc->tij", x, x) ** 2 * shares
+            found = np.einsum("tij,tijk->tk", value, basis) * squares[clear, 2:] ** 2
+            np.add.at(weights, (rows[clear, None], quad), found)
             halves = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * 0.5
             parts = squares[~clear, None, :2] + squares[~clear, None, 2:] * halves
             side = np.broadcast_to(squares[~clear, None, 2:] / 2, (*parts.shape[:2], 1))

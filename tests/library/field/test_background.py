@@ -97,25 +97,26 @@ def test_gradients_match_finite_differences(device):
         outputs=[grad],
     )
 
-    def loss(density, values):
-        total = 0.0
-        for camera, image in zip(cameras, images, strict=True):
-            origins, directions = camera.rays()
-            for row, column in np.ndindex(6, 8):
-                ray = origins[row, column], directions[row, column]
-                far = oracle.ray_color(background, values, *ray)
-                rgb, _, _ = oracle.render_ray(field, density, sh, *ray, field.step, far, length=6.0)
-                total += scale * ((rgb - image[row, column]) ** 2).sum()
-        return total
+    sight = [(o, d) for camera in cameras for o, d in zip(*(x.reshape(-1, 3) for x in camera.rays()), strict=True)]
+
+    def around(values):
+        return np.array([oracle.ray_color(background, values, *ray) for ray in sight])
+
+    def before(density):
+        """What rays see of the field, before black, and how much of what is behind it."""
+        seen = [oracle.render_ray(field, density, sh, *ray, field.step, np.zeros(3), length=6.0) for ray in sight]
+        return np.array([rgb for rgb, _, _ in seen]), np.array([[1 - opacity] for _, opacity, _ in seen])
 
     def slope(changed, at, which):
         ends = []
         for sign in (1, -1):
             moved = changed.copy()
             moved[at] += sign * 1e-4
-            ends.append(loss(moved, values) if which == "density" else loss(density, moved))
+            (rgb, left), far = (before(moved), at_rest[1]) if which == "density" else (at_rest[0], around(moved))
+            ends.append(scale * ((rgb + left * far - images.reshape(-1, 3)) ** 2).sum())
         return (ends[0] - ends[1]) / 2e-4
 
+    at_rest = before(density), around(values)
     found = grad.numpy()
     seen = np.argwhere(np.abs(found) > 0.2 * np.abs(found).max(axis=(0, 1)))
     for channel in range(4):
