@@ -110,11 +110,9 @@ class Allocations:
 
 @pytest.fixture
 def young_heap():
-    """What there is already is left out of the collections of garbage of a test, each of which takes long with it."""
+    """What there is already is left out of collections of garbage, each of which takes long with it."""
     gc.collect()  # nothing older goes meanwhile
-    gc.freeze()
-    yield
-    gc.unfreeze()
+    gc.freeze()  # for good: what a worker has imported and collected would be looked through in all later tests
 
 
 def measured(allocations, make):

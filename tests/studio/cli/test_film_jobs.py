@@ -7,6 +7,7 @@ import pytest
 from runs import DEFORMED, SMALL, run, succeed, write_files
 
 from warpcage import Cage, PoseFile
+from warpcage.deform import exact
 from warpcage.studio.jobs import JobFile, Worker
 
 FILM = ("--frames", 5, "--quiet", *SMALL)
@@ -61,7 +62,8 @@ FILMS = {
 
 
 @pytest.mark.parametrize("name", FILMS)
-def test_frames_of_a_job_file_are_those_of_animate(files, tmp_path, capsys, name):
+def test_frames_of_a_job_file_are_those_of_animate(files, tmp_path, capsys, monkeypatch, name):
+    monkeypatch.setattr(exact, "GUIDE_RESOLUTION", 32)  # a finer guide takes most of the time
     argv = FILMS[name]
     assert run(files, "animate", "@ball.npz", *argv, "-o", tmp_path / "frames") == 0, capsys.readouterr().err
     succeed(files, "animate", "@ball.npz", *argv, "--jobs", tmp_path / "film.jsonl")
