@@ -114,6 +114,7 @@ def test_a_worker_killed_between_two_chunks_loses_nothing(address, job, whole, t
     assert len(records(out)) == len(whole) == len(list((out / "shot").iterdir()))
 
 
+@pytest.mark.nightly
 @RAY_AT_NIGHT
 def test_two_workers_make_what_one_does(address, job, whole, tmp_path):
     out = tmp_path / "out"
@@ -259,6 +260,7 @@ def count_of(notes, out):
     return len(found)
 
 
+@RAY_AT_NIGHT
 def test_an_item_that_kills_its_worker_is_failed_and_the_rest_is_made(address, job, tmp_path):
     path, out = write_frames(tmp_path / "job", 20), tmp_path / "out"
     lines = []
@@ -292,7 +294,7 @@ def test_a_straggler_gives_its_rest_to_the_other(address, tmp_path):
 
 
 @RAY_AT_NIGHT
-@pytest.mark.parametrize("workers, maker", [(None, Endless), (2, Unwritten)])
+@pytest.mark.parametrize("workers, maker", [(None, Endless), pytest.param(2, Unwritten, marks=pytest.mark.nightly)])
 def test_an_endless_item_is_failed_and_the_rest_is_made(address, tmp_path, workers, maker):
     """An item that takes long once, by chance, is tried again: more warnings may come, no other failures."""
     path, out, lines = write_frames(tmp_path / "job", 30), tmp_path / "out", []
