@@ -4,7 +4,10 @@
 # opacities have not, G a Gaussian blur of each view that takes what is around it for zero, and
 # rho(d) = 2 s^2 (sqrt(1 + (d / s)^2) - 1), which is d^2 near zero and grows linearly above s (pseudo-Huber). G is its
 # own adjoint: slopes by the frame are G e rho'(d). Depths z, which have no blur, differ by a (z - target), with a the
-# opacity: where little is seen little counts, and nothing jumps where a depth comes or goes.
+# opacity: where little is seen little counts, and nothing jumps where a depth comes or goes. Where one part hides
+# another, depths of both meet in a pixel, and no slope of z says that a part should come before the other: such
+# differences would pull the wrong part. So theirs is rho(d) = d^2 / (1 + (d / s)^2) (Geman and McClure 1987), which
+# does not grow, of a scale s that falls from coarse to fine (graduated non-convexity, Blake and Zisserman 1987).
 
 import warp as wp
 
@@ -13,8 +16,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 #: Weights of squares of opacities, and of depths as shares of the cage's size, beside those of colors.
 ALPHA, DEPTH = wp.constant(0.5), wp.constant(20.0)
 
-#: Differences of colors and opacities, and of depths as shares of the cage's size, above which they count linearly.
-ROBUST, ROBUST_DEPTH = wp.constant(0.15), wp.constant(0.03)
+#: Differences of colors and opacities above which they count linearly.
+ROBUST = wp.constant(0.15)
 
 
 @wp.struct
@@ -32,6 +35,7 @@ class Comparison:
 
     scale: float  # of the whole sum
     unit: float  # size of the cage, world units
+    depth_scale: float  # s of depths, a share of the size
     behind: float  # by which frames' depth lies behind the surface, world units
     known_alone: int  # 1: opacities count where the pictures have a depth
     view_pixels: int  # h * w
@@ -68,6 +72,14 @@ def robust_square(off: float, scale: float, weight: float):
     share = off / scale
     root = wp.sqrt(1.0 + share * share)
     return wp.vec3(2.0 * weight * off * off / (1.0 + root), 2.0 * weight * off / root, wp.sqrt(weight) * off)
+
+
+@wp.func
+def bounded_square(off: float, scale: float, weight: float):
+    """The same of depths."""
+    share = off / scale
+    grown = 1.0 + share * share
+    return wp.vec3(weight * off * off / grown, 2.0 * weight * off / (grown * grown), wp.sqrt(weight) * off)
 
 
 @wp.func
@@ -123,7 +135,7 @@ def weigh_differences(
             roots.alpha[n] = found[2]
     if targets.depth.shape[0] > 0:
         off = frames.alpha[n] * depth_off(frames, targets, comparison, n)
-        found = robust_square(off, ROBUST_DEPTH, DEPTH * weight)
+        found = bounded_square(off, comparison.depth_scale, DEPTH * weight)
         loss += found[0]
         if slopes.depth.shape[0] > 0:
             slopes.depth[n] = found[1]

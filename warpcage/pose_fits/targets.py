@@ -29,6 +29,10 @@ from .photographs import Surroundings, expose, hull_pixels, pixels_of
 #: Pixels that differ by more from the background show the object, where pictures have no opacity.
 SHOWN = 0.06
 
+#: Differences of depths that count most, as shares of the cage's size: with pictures that are not blurred, and how many
+#: times more for each pixel of blur.
+DEPTH_SCALE, DEPTH_BLUR = 0.03, 1.0
+
 #: Bytes of a pixel of frames with their masks, of their differences and slopes.
 FRAME_BYTES = 128
 
@@ -41,7 +45,8 @@ class PoseTargets:
         cameras: n cameras of the pictures, in the field's world.
         images: (n, h, w, 3) in [0, 1], before `background`; (n, h, w, 4) with opacity, whose colours are their own
             (straight alpha). None: there are none.
-        alphas: (n, h, w) opacities or masks in [0, 1]. None: those of images with four channels, or none.
+        alphas: (n, h, w) opacities or masks in [0, 1]. None: those of images with four channels, or none. Images that
+            show something else than the background where most of these are 0 are photographs, and are cut out.
         depths: (n, h, w) distances from the cameras' centres along the rays to the surface, world units; not finite or
             0 where they are not known. None: there are none. Those of frames lie behind the surface; a fit allows for
             that.
@@ -104,11 +109,16 @@ class PoseTargets:
                 np.isfinite(parts[name]).all() and parts[name].min() >= -1 and parts[name].max() <= 2
             ):
                 raise InputError(f"{name} of a pose must be finite, in [0, 1]")
+        if "alphas" in parts and "images" in parts and _shows_more(parts["images"], parts["alphas"], color):
+            shares = parts["alphas"][..., None]
+            parts["images"] = shares * parts["images"] + (1 - shares) * color
         parts |= self._checked_points(count)
         if shape is None and "points" not in parts:
             raise InputError("a pose needs pictures, masks, depth or points to be fitted to")
         if shape is not None and not {"images", "alphas", "depths"} & set(parts):
             raise InputError("weights alone say nothing of a pose: give pictures, masks or depth")
+        if "weights" in parts and parts["weights"].max() <= 0:
+            raise InputError("weights of a pose are 0 in all pixels: nothing is left to compare")
         for name, value in parts.items():
             object.__setattr__(self, name, value)
 
@@ -174,6 +184,12 @@ class PoseTargets:
     def pixel_size(self) -> int:
         """Pixels along the longer side of the pictures."""
         return max(self.cameras[0].width, self.cameras[0].height) if self.has_pictures else 0
+
+
+def _shows_more(images: np.ndarray, alphas: np.ndarray, color: np.ndarray) -> bool:
+    """Whether most of what lies outside of masks has another colour than the background."""
+    outside = images[alphas < 0.02]
+    return len(outside) > 0.05 * alphas.size and float(np.median(np.abs(outside - color).max(axis=-1))) > SHOWN
 
 
 def _averaged(pictures: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -253,6 +269,7 @@ class PictureLoss:
         """Blur differences from now on, pixels; the next frames say how many pixels the object covers."""
         self.blur, self._comparison = blur, Comparison()
         self._comparison.unit, self._comparison.behind = self._unit, self._behind
+        self._comparison.depth_scale = DEPTH_SCALE * (1 + DEPTH_BLUR * blur)
         self._comparison.known_alone = int(self.alphas is None)
         self._comparison.view_pixels = self._sides[0] * self._sides[1]
         if self._exposure:

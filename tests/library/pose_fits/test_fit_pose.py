@@ -430,6 +430,7 @@ def test_what_is_no_target_is_refused():
         ({"cameras": seen, "images": image[:, :7]}, "camera 0 is of 8x8 pixels, its picture of 8x7"),
         ({"cameras": seen, "images": image, "depths": np.ones((1, 7, 8))}, "depths of a pose must be (1, 8, 8)"),
         ({"cameras": seen, "weights": image[..., 0]}, "weights alone say nothing"),
+        ({"cameras": seen, "images": image, "weights": image[..., 0]}, "weights of a pose are 0 in all pixels"),
         ({"positions": points}, "need points, the same places at rest"),
         ({"points": points}, "points of a pose need positions, or pixels"),
         ({"points": points, "positions": points[:1]}, "positions of a pose must be (2, 3), got (1, 3)"),

@@ -89,6 +89,17 @@ def test_exposures_are_found_beside_what_moves(device):
     assert (found(0 * frames, weights, 1) == 1).all()
 
 
+def test_photographs_with_masks_are_cut_out():
+    """Whole pictures beside masks; what was cut out before stays as it is."""
+    random = np.random.default_rng(0)
+    photographs, masks = random.random((2, 24, 24, 3)), np.zeros((2, 24, 24))
+    masks[:, 6:14, 6:14] = random.random((2, 8, 8))
+    cut = masks[..., None] * photographs + (1 - masks[..., None]) * (0.2, 0.3, 0.4)
+    for images in (photographs, cut):
+        targets = PoseTargets(cameras(2), images=images, alphas=masks, background=(0.2, 0.3, 0.4))
+        np.testing.assert_allclose(targets.images, cut, atol=1e-6)
+
+
 def test_pixels_of_a_hull():
     """Of a square before a camera by hand, cut off by the picture's side, and behind the camera."""
     camera = turntable((0, 0, 0), 2.0, 0, 1, width=40, height=40, fov_degrees=90)[0]

@@ -53,7 +53,8 @@ def expected_loss(frames, targets, weights, names, blur):
     if "depth" in names:
         both = known & np.isfinite(frames["depth"])
         off = np.where(both, frames["depth"] - BEHIND, 0) - np.where(both, targets["depth"], 0)
-        loss += (20 * weights * rho(frames["alpha"] * off / UNIT, 0.03)).sum()
+        off = frames["alpha"] * off / UNIT
+        loss += (20 * weights * off**2 / (1 + (off / (0.03 * (1 + blur))) ** 2)).sum()
     return loss / (targets if "alpha" in names else frames)["alpha"].sum()
 
 
