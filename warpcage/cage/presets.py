@@ -5,11 +5,14 @@ from __future__ import annotations
 import pathlib
 import re
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from ..core.files import PathLike
 from ..errors import InputError
 from .axes import AXIS_NAMES, axis_of, default_towards, is_axis
-from .cage import Cage
+
+if TYPE_CHECKING:
+    from .cage import Cage
 
 #: Preset -> the amount that changes nothing, and how many axes it may name.
 PRESETS = {"rest": (0.0, 0), "bend": (0.0, 2), "twist": (0.0, 1), "taper": (1.0, 1), "stretch": (1.0, 1),

@@ -375,7 +375,7 @@ KILLED = """\
 import json, os, pathlib, signal, sys, types
 sys.path.insert(0, sys.argv[1])
 from runs import run_with
-from warpcage.studio.jobs import manifest, webdataset
+from warpcage.studio.jobs import manifest, webdataset, worker  # which a run imports late
 from warpcage.studio.jobs.engines import chunk_runner
 
 kill = lambda *given, **options: os.kill(os.getpid(), signal.SIGKILL)

@@ -8,7 +8,6 @@ from typing import Any
 from ...core.checks import Cuts, checked_path, warn_caller
 from ...core.files import PathLike, atomic_path, require_file
 from ...errors import InputError
-from ...scene.formats.datasets.splatting import iterations, output_of, trained_background
 from .contents import LOGS, SplatContents, bounded_values, rounding_of, seen_logs, sound_contents
 from .formats import BUILT_IN, SplatFormat, format_to_read, format_to_write, holding_format, require_own_beginning
 from .sog import META
@@ -25,12 +24,16 @@ def splat_path(path: PathLike) -> pathlib.Path:
     file = checked_path(path, "the file of splats")
     if not file.is_dir():
         return file
+    from ...scene.formats.datasets.splatting import iterations  # here, as most of a scene needs Warp's kernels
+
     return file / META if (file / META).is_file() else [file, *iterations(file).values()][-1]
 
 
 def own_background(path: PathLike) -> dict[str, str]:
     """The background that splats in an output folder of 3D Gaussian Splatting were fitted with, as an option of the
     field; nothing for other files."""
+    from ...scene.formats.datasets.splatting import output_of, trained_background  # as above
+
     folder = output_of(splat_path(path))
     color = None if folder is None else trained_background(folder)
     return {} if color is None else {"background": color}

@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import errno
 import functools
-import gc
 import importlib
 import os
 import re
@@ -21,6 +20,7 @@ from typing import Any, NoReturn, TextIO
 from ...core import reports
 from ...core.names import error_line, extra_line
 from ...errors import InputError, MissingPackageError
+from ...package import ManyImports
 from .arguments import cages, fields, info, render, runs, scenes  # noqa: F401  (they bring their commands)
 from .arguments.options import COMMANDS, package_version
 
@@ -324,17 +324,10 @@ def _early_workers(arguments: argparse.Namespace) -> contextlib.AbstractContextM
 
 
 def _command(name: str) -> Callable[[argparse.Namespace], int | None]:
-    """What runs a command. What it imports stays: looking through it for garbage takes a fifth of the start."""
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        return getattr(
-            importlib.import_module(f".{COMMANDS[name].module}", __package__), f"run_{name.replace('-', '_')}"
-        )
-    finally:
-        gc.freeze()
-        if collecting:
-            gc.enable()
+    """What runs a command."""
+    with ManyImports(frozen=True):
+        module = importlib.import_module(f".{COMMANDS[name].module}", __package__)
+    return getattr(module, f"run_{name.replace('-', '_')}")
 
 
 def _said(what: str, status: int) -> int:

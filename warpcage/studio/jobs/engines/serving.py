@@ -17,7 +17,12 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from ....package import ManyImports
+
+if TYPE_CHECKING:
+    from .chunk_runner import ChunkRunner
 
 #: Seconds that a process gets to be gone after it was killed: one that waits for a disk may take longer.
 GONE = 10.0
@@ -159,7 +164,8 @@ def serve(loads: bool, device: str | None) -> None:
     calls, answers, lock = sys.stdin.buffer, os.fdopen(os.dup(1), "wb"), threading.Lock()
     os.dup2(2, 1)  # what is printed is no answer
     if loads:
-        with contextlib.suppress(Exception):  # raised again, and reported, where the runner is made
+        # what goes wrong is raised again, and reported, where the runner is made
+        with ManyImports(frozen=True), contextlib.suppress(Exception):
             from ....core.devices import resolve_device
             from .. import worker  # noqa: F401
             from .chunk_runner import check_device
@@ -168,11 +174,16 @@ def serve(loads: bool, device: str | None) -> None:
     settings = received(calls)
     if settings is None:
         return
-    from ....core.names import error_line
-    from .chunk_runner import MAX_CALLS, make_runner
+    with ManyImports(frozen=True):
+        from ....core.names import error_line
+        from .chunk_runner import MAX_CALLS, make_runner
+
+    def make() -> ChunkRunner:
+        with ManyImports(frozen=True):
+            return make_runner(pickle.loads(settings))
 
     pool = ThreadPoolExecutor(MAX_CALLS + 1, "warpcage-calls")
-    runner = pool.submit(lambda: make_runner(pickle.loads(settings)))
+    runner = pool.submit(make)
 
     def answer(number: int, method: str, given: tuple[Any, ...]) -> None:
         error = found = None
