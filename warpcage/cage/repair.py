@@ -13,7 +13,12 @@ from ..core.checks import axis_index, checked_number, checked_whole, shown
 from ..core.names import agreed, checked_choice, counted
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh, MeshTopology
+from ..mesh.queries import crossing_faces
+from ..mesh.surface import PolygonFaces
 from ..mesh.validity import coincident_vertices, inward_parts
+
+#: Least cosine between the normal of a quad that closes a hole and those at its corners: 37 degrees.
+MIN_QUAD_FLATNESS = 0.8
 
 #: The corners of a face, and of all.
 Face = list[int]
@@ -137,17 +142,32 @@ def _closed(vertices: np.ndarray, faces: Faces, largest_hole: int, notes: list[s
         loop = loop[:-1]
         if len(loop) < 3 or len(loop) > largest_hole or loop[0] != first:
             continue
-        patch = _least_area(vertices, loop, taken)
+        patch = [loop] if _ends_as_quad(vertices, faces, loop) else _least_area(vertices, loop, taken)
         if patch is None:
             continue
-        faces += patch.tolist()
-        taken |= {(min(a, b), max(a, b)) for face in patch.tolist() for a, b in _sides(face)}
+        faces += patch
+        taken |= {(min(a, b), max(a, b)) for face in patch for a, b in _sides(face)}
         notes.append(f"closed a hole of {len(loop)} edges at vertex {first} with {counted(len(patch), 'face')}")
     return faces
 
 
-def _least_area(vertices: np.ndarray, loop: list[int], taken: set[tuple[int, int]]) -> np.ndarray | None:
-    """Triangles (n - 2, 3) of the least total area over a polygon of n vertices (Barequet and Sharir 1995).
+def _ends_as_quad(vertices: np.ndarray, faces: Faces, loop: Face) -> bool:
+    """Whether a hole among quads can be closed by another one that is nearly flat and crosses no face."""
+    rim = {(b, a) for a, b in _sides(loop)}
+    around = {len(face) for face in faces if not rim.isdisjoint(_sides(face))}
+    corners = vertices[loop]
+    if len(loop) != 4 or around != {4} or PolygonFaces(vertices, np.array(loop, np.int32), np.array([4])).cut.size:
+        return False
+    normal = np.cross(corners[2] - corners[0], corners[3] - corners[1])
+    halves = np.cross(np.roll(corners, -1, axis=0) - corners, np.roll(corners, 1, axis=0) - corners)  # at each corner
+    lengths = np.linalg.norm(halves, axis=1) * np.linalg.norm(normal)
+    if (halves @ normal < MIN_QUAD_FLATNESS * lengths).any():
+        return False
+    return not (crossing_faces(ClosedMesh(vertices, [*faces, loop])) == len(faces)).any()
+
+
+def _least_area(vertices: np.ndarray, loop: Face, taken: set[tuple[int, int]]) -> Faces | None:
+    """Triangles, n - 2, of the least total area over a polygon of n vertices (Barequet and Sharir 1995).
     Their inner edges must not be among the edges `taken`; None where that is not possible."""
     n, points = len(loop), vertices[loop]
     cost = np.zeros((n, n))
@@ -164,13 +184,14 @@ def _least_area(vertices: np.ndarray, loop: list[int], taken: set[tuple[int, int
             cost[i, k], middle[i, k] = total.min(), inner[np.argmin(total)]
     if not np.isfinite(cost[0, n - 1]):
         return None
-    found, spans = [], [(0, n - 1)]
+    found: Faces = []
+    spans = [(0, n - 1)]
     for i, k in spans:
         if k - i >= 2:
             j = middle[i, k]
-            found.append((loop[i], loop[j], loop[k]))
+            found.append([loop[i], loop[j], loop[k]])
             spans += [(i, j), (j, k)]
-    return np.array(found)
+    return found
 
 
 def _outward(vertices: np.ndarray, faces: Faces, notes: list[str]) -> Faces:

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from polygon_cages import quad_box
 from refusals import refused
 
 from warpcage import Cage
@@ -80,3 +81,40 @@ def test_what_is_not_safe_is_left():
     assert moebius.repair(largest_hole=3) == (moebius, ())
     refused(lambda: tube.repair(largest_hole=2), match="largest_hole")
     refused(lambda: Cage(tube.vertices, [[0, 0, 1]]).repair(), match="no face left")
+
+
+def directed_sides(cage):
+    return {pair for face in cage.polygons for pair in zip(face, (*face[1:], face[0]), strict=True)}
+
+
+def test_holes_among_quads_are_closed_by_quads():
+    whole = quad_box(2, 0.1, seed=1)
+    for missing in range(0, whole.face_count, 5):
+        left = [face for number, face in enumerate(whole.polygons) if number != missing]
+        mended, notes = Cage(whole.vertices, left).repair()
+        assert notes == (f"closed a hole of 4 edges at vertex {min(whole.polygons[missing])} with 1 face",)
+        assert set(mended.polygons[-1]) == set(whole.polygons[missing])
+        assert directed_sides(mended) == directed_sides(whole)  # the same surface, looking the same way
+        assert mended.volume == pytest.approx(whole.volume)
+
+
+def test_holes_that_no_quad_suits_are_closed_by_triangles():
+    whole = quad_box(1)
+    (a, b, c, d), *others = whole.polygons
+    bent = whole.vertices.copy()
+    bent[[a, c], 0] -= 1.5  # a saddle on the side x = -1
+    opposite, (e, f, g, h), *rest = others
+    beside = [opposite, (e, f, g), (e, g, h), *rest]  # a triangle at the hole
+    spike = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
+    through = whole.vertices[[a, b, c, d]].mean(axis=0) + spike - [0.03, 0.13, 0.32]
+    more = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]) + len(whole.vertices)
+    cases = {
+        "warped": Cage(bent, others),
+        "beside triangles": Cage(whole.vertices, beside),
+        "crossed": Cage(np.concatenate([whole.vertices, through]), [*others, *more.tolist()]),
+    }
+    for name, cage in cases.items():
+        mended, notes = cage.repair()
+        added = [face for face in mended.polygons if face not in cage.polygons]
+        assert [len(face) for face in added] == [3, 3] and "with 2 faces" in notes[0], name
+        assert {*added[0], *added[1]} == {a, b, c, d}, name
