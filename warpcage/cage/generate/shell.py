@@ -49,8 +49,10 @@ _CUBES, _MAX_STEP = 4, 3
 _MIN_LEVEL = 1.8
 
 #: Rounds of spreading, tried in this order, as many may tangle a thin surface; shares of the way from there to drawn
-#: close; and the rounds tried where nothing else holds: the surface given holds the object by construction.
-_ROUNDS, _DRAWN, _LAST_ROUNDS = (25, 10, 4), (1.0, 0.75, 0.5, 0.25, 0.0), (0,)
+#: close; and the rounds tried where nothing else holds: the surface given holds the object by construction. Where faces
+#: that would cross others go back, rounds matter little, and a closing that does not hold is known sooner.
+_ROUNDS, _DRAWN, _LAST_ROUNDS = (25, 10, 4), (1.0, 0.0, 0.75, 0.5, 0.25), (0,)
+_APART_ROUNDS = (25, 4)
 
 #: What is wrong with a cage that cannot be cleared, with one that is neither spread evenly nor drawn, and with one that
 #: has spikes: the last two hold, but a wider closing may give a better one.
@@ -109,8 +111,11 @@ def shell_cage(
             # cubes with a node in each ball of the level's radius: nothing thin is missed
             step = int(np.clip(min(edge / _CUBES, level) / coarse, 1, _MAX_STEP))
             surface = shell.surface(level, step, plane)
-            start = decimated(*surface, int(fine * vertex_count * denser(*surface, sizing) / (2 if plane else 1)))
-            start = joined_halves(*start, plane) if plane else start
+            count = fine * vertex_count * denser(*surface, sizing)
+            if plane:
+                start = joined_halves(*decimated(*surface, half_of(count, *surface, plane)), plane)
+            else:
+                start = decimated(*surface, int(count))
             mirror = Mirror.of(start[0], plane) if plane else None
             hull = progressive_hull(*start, vertex_count, progress, sizing, apart, mirror)
             mirror = Mirror.of(hull[0], plane) if plane else None
@@ -170,6 +175,13 @@ def denser(vertices, faces, sizing: Sizing) -> float:
     return float(np.clip((edge_length(vertices, faces, 1) / least) ** 2, 1.0, _DENSEST))
 
 
+def half_of(count, vertices, faces, plane: tuple[int, float]) -> int:
+    """What to ask of `decimated` for a half (v, 3), (f, 3) that has `count` vertices once it is joined."""
+    # of the half V - F / 2 does change, as its rim gets shorter; of what it is joined to it does not
+    whole, triangles = joined_halves(vertices, faces, plane)
+    return int(0.5 * (count - (len(whole) - 0.5 * len(triangles)) + 2 * len(vertices) - len(faces)))
+
+
 def split_box(bounds, room, vertex_count) -> tuple[np.ndarray, np.ndarray]:
     """The box `room` off bounds (2, 3), its longest edges split in the middle up to `vertex_count` vertices."""
     corners, triangles = box(bounds[0] - room, bounds[1] + room)
@@ -206,7 +218,7 @@ def sound(
     if abs(len(vertices) - vertex_count) > max(0.1 * vertex_count, mirror is not None):
         return None, f"decimation left {len(vertices)} vertices"
     start, reasons = vertices, []
-    for rounds in _LAST_ROUNDS if last else _ROUNDS:
+    for rounds in _LAST_ROUNDS if last else _APART_ROUNDS if apart else _ROUNDS:
         even = spread(shell, start, faces, need, mirror, rounds)
         if apart:
             even = untangled(start, even, faces, mirror)
@@ -217,18 +229,27 @@ def sound(
         close = drawn_close(shell, even, faces, need, mirror)
         if apart:
             close = untangled(even, close, faces, mirror)
+        tried: dict[float, tuple[np.ndarray, str]] = {}
         for share in _DRAWN:
-            vertices = even + share * (close - even)
-            reason = tangle(shell, vertices, faces)
-            if not reason:
-                vertices, clear = cleared(shell, vertices, faces, need, mirror)
-                reason = flaw(shell, vertices, faces) if clear else NOT_CLEAR
-            if not reason:
-                cage = ClosedMesh(vertices, faces)
-                loose = rounds < _ROUNDS[0] and share == 0.0
-                return cage, _LOOSE if loose else STRAYS if strays(shell.voxels, cage, sizing) else ""
-        reasons.append(reason)
+            tried[share] = kept_off(shell, even + share * (close - even), faces, need, mirror)
+            if (not tried[share][1]) == (share > 0.0):  # where what is not drawn does not hold, little in between does
+                break
+        held = [share for share, (_, wrong) in tried.items() if not wrong]
+        if held:
+            cage = ClosedMesh(tried[max(held)][0], faces)
+            loose = rounds < _ROUNDS[0] and max(held) == 0.0
+            return cage, _LOOSE if loose else STRAYS if strays(shell.voxels, cage, sizing) else ""
+        reasons.append(tried[0.0][1])
     return None, reasons[0]
+
+
+def kept_off(shell, vertices, faces, need, mirror: Mirror | None) -> tuple[np.ndarray, str]:
+    """Vertices (v, 3) once their faces are kept off the object, and what is wrong with them then."""
+    reason = tangle(shell, vertices, faces)
+    if reason:
+        return vertices, reason
+    vertices, clear = cleared(shell, vertices, faces, need, mirror)
+    return vertices, flaw(shell, vertices, faces) if clear else NOT_CLEAR
 
 
 def untangled(before, after, faces, mirror: Mirror | None = None) -> np.ndarray:
