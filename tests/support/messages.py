@@ -28,6 +28,7 @@ MESSAGES = {
     "cage.key_easing": "the easing of keyframe 'a' must be a name",
     "cage.key_time": "the time of keyframe 'a' must be one finite number",
     "cage.no_animation": "no animation or shape key 'fly', only walk, run",
+    "cage.no_effect": r"^the focus has no effect at \d+ vertices, .*about \d+ vertices, or for less with finer$",
     "cage.no_quads": "^no quads around this object hold: the cage has triangles$",
     "cage.offset": "offset must be 3 finite numbers, got 'right'",
     "cage.random_mode": "a mode of random poses must be one of bend",

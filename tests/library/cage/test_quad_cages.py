@@ -194,6 +194,20 @@ def test_selected_nodes_are_a_focus():
     refused(lambda: Cage.from_field(field, 60, margin=30), match="the object's size in voxels, 1")
 
 
+def test_a_focus_has_an_effect_on_small_objects_or_it_is_said_that_it_has_none(recwarn):
+    field = GridField(ball_densities(16))
+    mask = np.zeros((16, 16, 16), dtype=bool)
+    mask[9:] = True
+    some = NodeSelection(field, mask)
+    counts, _ = halves(Cage.from_field(field, 40, focus=some))
+    assert counts[1] > 1.5 * counts[0] and not [each for each in recwarn if "focus" in str(each.message)]
+    with pytest.warns(UserWarning, match=MESSAGES["cage.no_effect"]):
+        cage = Cage.from_field(field, 20, focus=some, finer=4.0)
+    middle = cage.vertices[cage.edges].mean(axis=1)[:, 0]
+    lengths = np.linalg.norm(np.diff(cage.vertices[cage.edges], axis=1)[:, 0], axis=1)
+    assert lengths[middle > 0.3].mean() > 0.9 * lengths[middle < -0.3].mean()  # as the warning says
+
+
 def test_a_cage_is_finer_where_a_pose_file_bends_another_one():
     rod = make.box([4.0, 0.6, 0.6])
     rest = Cage.box([-2.2, -0.5, -0.5], [2.2, 0.5, 0.5], segments=(8, 1, 1))

@@ -21,7 +21,7 @@ from ...mesh.queries import crossing_faces, inside_mesh
 from ...mesh.validity import first_problem, require_usable
 from ...select.planes import Plane
 from ...select.selection import visible_nodes
-from .decimate import Sizing, progressive_hull
+from .decimate import Sizing, progressive_hull, relative_sizes
 from .distance import ObjectShell, ObjectVoxels, bounds_of
 from .fit import cleared, face_samples, row_sums
 from .focus import focused
@@ -125,6 +125,9 @@ def checked_count(vertex_count, name: str = "vertex_count") -> int:
 #: Points of a mesh that are all looked at; of more, one in each cell of a tenth of a voxel.
 _MAX_POINTS = 1_000_000
 
+
+#: Mean length of edges in a focus over that of others up to which it has an effect.
+_SHORTER = 0.9
 
 #: Voxels that a margin may always have, however small the object.
 _SMALL_MARGIN = 16.0
@@ -278,23 +281,24 @@ def _cage_around_points(
     enclosed = np.concatenate([points, reflected(points, *plane)]) if plane else points
     voxels, names, strayed = ObjectVoxels(enclosed, spacing, slack + margin), list(makers), {}
 
-    def made(name: str, progress: bool | Progress) -> ClosedMesh | str:
-        """The cage of a method, or why there is none."""
+    def placed(cage: ClosedMesh) -> ClosedMesh:
+        """A cage in world units, which ends where the object stands."""
+        cage = cage.with_vertices(middle + size * cage.vertices)
+        if floor is None:
+            return cage
+        cage = cut_across(cage, floor.heights(cage.vertices) < 0.0)  # patches at the rim would bend as it moves
+        return cage.with_vertices(ended_at(floor, cage, middle + size * points, size * spacing))
+
+    def made(name: str, progress: bool | Progress) -> tuple[ClosedMesh, ClosedMesh] | str:
+        """The cage of a method in units of the object and of the world, or why there is none."""
         try:
             cage = makers[name](voxels, vertex_count, plane, progress, relative)
-            if options.faces == "quads":
-                cage = quad_cage(voxels, cage, plane)
-            strayed[name] = strays(voxels, cage, relative)
-            cage = cage.with_vertices(middle + size * cage.vertices)
-            if floor is not None:
-                # patches at the rim would bend as it moves
-                cage = cut_across(cage, floor.heights(cage.vertices) < 0.0)
-                cage = cage.with_vertices(ended_at(floor, cage, middle + size * points, size * spacing))
+            strayed[name], there = strays(voxels, cage, relative), placed(cage)
         except ValueError as error:
             _log.info("%s: none (%s)", name, error)
             return f"{name}: {error}"
-        _log.info("%s: %d vertices, volume %.4g", name, len(cage.vertices), cage.volume)
-        return cage
+        _log.info("%s: %d vertices, volume %.4g", name, len(there.vertices), there.volume)
+        return cage, there
 
     _log.info("%s: %d points, to be enclosed by %d vertices", " and ".join(names), len(points), vertex_count)
     report_progress(progress, 0, len(names), f"cage: {names[0]}")
@@ -311,10 +315,31 @@ def _cage_around_points(
             f"no cage of {vertex_count} vertices could be made ({'; '.join(reasons)}): ask for more "
             "vertices, a smaller margin, or begin with a box"
         )
-    best = found[min(found, key=lambda name: (strayed[name], found[name].volume))]
-    if options.faces == "quads" and best.polygon_faces is None:
-        warnings.warn("no quads around this object hold: the cage has triangles", stacklevel=2)
+    own, best = found[min(found, key=lambda name: (strayed[name], found[name][1].volume))]
+    if options.faces == "quads":
+        try:
+            best = placed(quad_cage(voxels, own, plane))
+        except ValueError as error:
+            _log.info("quads: none (%s)", error)
+        if best.polygon_faces is None:
+            warnings.warn("no quads around this object hold: the cage has triangles", stacklevel=2)
+    if sizing and detail == "even":
+        say_unrefined(best, sizing)
     return best.vertices, best.face_array
+
+
+def say_unrefined(cage: ClosedMesh, sizing: Sizing) -> None:
+    """One line where the edges of a cage are no shorter where a sizing asks for that."""
+    ends = cage.vertices[cage.edges]
+    lengths, asked = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), relative_sizes(sizing, ends.mean(axis=1))
+    fine = asked <= np.sqrt(asked.min() * asked.max())
+    if not fine.all() and lengths[fine].mean() > _SHORTER * lengths[~fine].mean():
+        count = len(cage.vertices)
+        warnings.warn(
+            f"the focus has no effect at {count} vertices, edges there are as long as elsewhere: ask for about "
+            f"{2 * count} vertices, or for less with finer",
+            stacklevel=2,
+        )
 
 
 def simplified_cage(vertices, faces, points, spacing, need, vertex_count) -> tuple[np.ndarray, np.ndarray]:

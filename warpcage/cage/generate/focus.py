@@ -30,13 +30,19 @@ MAX_FINER = 8.0
 def focused(focus: Any, finer: float, size: float, points: np.ndarray) -> Sizing:
     """Relative lengths of edges, 1 / `finer` in the focus and 1 far from it; see `Cage.from_mesh`. size: of the object,
     world units; points (n, 3): of it."""
+    from scipy.spatial import KDTree
+
     finer = checked_number(finer, "finer", 1.0, MAX_FINER)
     if focus is None:
         return None
-    share = _bent(_poses(focus)) if _has_poses(focus) else _near(_points(focus), size)
-    if not share(points).any():
+    shares = (_bent(_poses(focus)) if _has_poses(focus) else _near(_points(focus), size))(points)
+    if not shares.any():
         raise InputError("the focus is nowhere near the object: give it in the object's world units")
-    return None if finer == 1.0 else lambda x: finer ** -share(x)
+    if finer == 1.0:
+        return None
+    # of the object's nearest point: surfaces that are decimated lie farther off a small object than a focus reaches
+    tree = KDTree(points, leafsize=32, balanced_tree=False)
+    return lambda x: finer ** -shares[tree.query(x)[1]]
 
 
 def _has_poses(focus: Any) -> bool:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ...mesh.faces import column_cross, column_dot
 from ...mesh.mesh import ClosedMesh
-from ...mesh.queries import crossing_faces
 from ...mesh.surface import CELLS, PolygonFaces
+from .decimate import meeting_rings
 from .distance import ObjectShell, ObjectVoxels
 from .fit import cleared, drawn_close, row_sums, shortfall
 from .mirror import Mirror
@@ -28,11 +30,18 @@ _MIN_SHAPE, _MIN_FLAT = 0.12, 0.3
 #: How near to the best matching the search may end, as a share of its weight.
 _MATCHING_GAP = 2e-3
 
-#: Times that quads which do not hold are cut into their triangles again, before all are.
-_ROUNDS = 6
+#: Share of its weight that a quad loses where it must be pushed off the object, and how far, in mean sides, for all of
+#: that.
+_PUSH_COST, _FAR_PUSH = 0.3, 0.1
 
-#: Rounds in which patches are drawn close, after their triangles were; where none hold so, they are kept off alone.
-_DRAWN_ROUNDS = (40, 0)
+#: Pieces of the sides of a patch's triangles where it is looked at for that.
+_PUSH_PIECES = 3
+
+#: Rounds in which patches are drawn close.
+_DRAWN_ROUNDS = 40
+
+#: Times that quads which push what does not hold are cut, first what does not itself, before all that push are.
+_TURNS = 5
 
 #: Moves, in sizes of the object, that are none.
 _MOVED = 1e-12
@@ -42,26 +51,36 @@ def quad_cage(voxels: ObjectVoxels, cage: ClosedMesh, plane: tuple[int, float] |
     """A cage of as many quads as hold, and of triangles elsewhere, with the vertices of one of triangles, moved a
     little. plane: axis and place of a mirror plane of the cage."""
     mirror = None if plane is None else Mirror.of(cage.vertices, plane)
-    partner = None if mirror is None else mirror.partner
-    joined = paired(cage.vertices, cage.faces, partner)
-    shell = ObjectShell(voxels, voxels.need + max(0.06 * voxels.size, 2.0 * voxels.spacing))
-    for turn in range(_ROUNDS + 1):
-        faces = [list(quad) for quad in joined] + _left(cage.faces, joined)
-        found, wrong = _held(shell, ClosedMesh(cage.vertices, faces), voxels.need, mirror)
-        if found is not None:
-            _log.info("quads: %d of %d faces", len(joined), len(faces))
-            return found
-        kept = [k for k in range(len(joined)) if k not in wrong] if turn < _ROUNDS - 1 else []
-        if partner is not None:  # both of a pair stay, or neither
-            there = {frozenset(joined[k].tolist()) for k in kept}
-            kept = [k for k in kept if frozenset(partner[joined[k]].tolist()) in there]
-        joined = joined[kept if len(kept) < len(joined) else []]
-    return cage
+    # a wider shell would fill the gaps between parts, and their walls would be pushed out of what is filled
+    shell = ObjectShell(voxels, voxels.need + 2.0 * voxels.spacing)
+    side = float(np.linalg.norm(np.diff(cage.vertices[cage.edges], axis=1), axis=2).mean())
+
+    def pushed(quads: np.ndarray) -> np.ndarray:
+        corners = quads.reshape(-1).astype(np.int32)
+        fine = PolygonFaces(cage.vertices, corners, np.full(len(quads), 4)).refined(CELLS)
+        distance = shell.distance_on_faces(fine.operator @ cage.vertices, fine.faces.astype(np.int64), _PUSH_PIECES)
+        short = np.zeros(len(quads))
+        np.maximum.at(short, fine.owner, voxels.need - distance.min(axis=1))
+        return short / side
+
+    joined = paired(cage.vertices, cage.faces, None if mirror is None else mirror.partner, pushed)
+    found = _held(shell, cage, joined, voxels.need, mirror)
+    if found is None:
+        return cage
+    # coarser triangles, which some coordinates take, lie on both sides of the patches
+    coarse, fine = found.refined(1), found.refined(CELLS)
+    inside = (crossings(shell.voxels.skin, coarse.vertices, coarse.faces) >= 1).all()
+    if not inside or tangle(shell, coarse.vertices, coarse.faces) or flaw(shell, fine.vertices, fine.faces):
+        return cage
+    _log.info("quads: %d of %d faces", sum(len(face) == 4 for face in found.polygons), found.face_count)
+    return found
 
 
-def paired(vertices: np.ndarray, faces: np.ndarray, partner: np.ndarray | None = None) -> np.ndarray:
+def paired(
+    vertices: np.ndarray, faces: np.ndarray, partner: np.ndarray | None = None, pushed: Callable | None = None
+) -> np.ndarray:
     """Quads (q, 4), each two of the triangles (f, 3) of a closed mesh that share an edge: the matching of most weight.
-    partner (v,): of each vertex across a mirror plane, to whose sides quads are the same."""
+    partner (v,): of vertices across a mirror plane; pushed: how far (q,) quads must move, in sides, to hold."""
     from scipy import sparse
     from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -75,6 +94,8 @@ def paired(vertices: np.ndarray, faces: np.ndarray, partner: np.ndarray | None =
     wanted = np.flatnonzero(weights > 0.0)
     if not len(wanted):
         return quads[:0]
+    if pushed is not None:
+        weights[wanted] *= 1.0 - _PUSH_COST * np.minimum(pushed(quads[wanted]) / _FAR_PUSH, 1.0)
     rows, columns = np.concatenate([owner[one[wanted]], owner[two[wanted]]]), np.tile(np.arange(len(wanted)), 2)
     once = sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(len(faces), len(wanted)))
     limits: list[Any] = [LinearConstraint(once, ub=1.0)]
@@ -136,6 +157,7 @@ class _Followed:
 
     def __init__(self, vertices: np.ndarray, operator: Any, mirror: Mirror | None):
         self.vertices, self._operator, self._mirror = vertices, operator, mirror
+        self.by_length = False  # whether the longer of the moves count for more
         self._entries = operator.tocoo()
 
     def __call__(self, moved: np.ndarray) -> np.ndarray:
@@ -143,77 +165,108 @@ class _Followed:
         step = moved - self._operator @ self.vertices
         entries = self._entries
         asked = np.flatnonzero((np.abs(step[entries.row]) > _MOVED).any(axis=1))
+        moves = step[entries.row[asked]]
         share, own = entries.data[asked], entries.col[asked]
+        share = share * np.linalg.norm(moves, axis=1) if self.by_length else share
         total = np.bincount(own, share, len(self.vertices))[:, None]
-        steps = row_sums([own], [share[:, None] * step[entries.row[asked]]], len(self.vertices))
+        steps = row_sums([own], [share[:, None] * moves], len(self.vertices))
         after = self.vertices + steps / np.where(total > 0.0, total, 1.0)
         self.vertices = after if self._mirror is None else self._mirror.farther(self.vertices, after)
         return self._operator @ self.vertices
 
 
+class _Patches:
+    """The cage of these quads (q, 4) and, elsewhere, of the triangles of another one, as the patches of its faces about
+    an object."""
+
+    def __init__(self, shell: ObjectShell, cage: ClosedMesh, quads: np.ndarray, need: float, mirror: Mirror | None):
+        self.cage = ClosedMesh(cage.vertices, quads.tolist() + _left(cage.faces, quads))
+        polygons = self.cage.polygon_faces
+        assert polygons is not None
+        fine = polygons.refined(CELLS)
+        self._shell, self._need, self._mirror, self._polygons = shell, need, mirror, polygons
+        self.operator, self.owner, self.faces = fine.operator, fine.owner, fine.faces.astype(np.int64)
+        self._measured, self._short = np.full((fine.operator.shape[0], 3), np.nan), np.zeros(len(self.faces))
+
+    def moved(self, vertices: np.ndarray, rounds: int = 0) -> tuple[np.ndarray, bool]:
+        """Vertices (v, 3) drawn close in so many rounds and kept off the object, and whether they were."""
+        followed, places = _Followed(vertices, self.operator, self._mirror), self.operator @ vertices
+        if rounds:
+            places = drawn_close(self._shell, places, self.faces, self._need, followed, rounds)
+        followed.by_length = True  # half as many rounds: few samples are short, by different lengths
+        clear = cleared(self._shell, places, self.faces, self._need, followed)[1]
+        return followed.vertices, clear
+
+    def short(self, vertices: np.ndarray) -> np.ndarray:
+        """(p,) whether faces are too near to the object, the cage's vertices being at (v, 3)."""
+        places = self.operator @ vertices
+        moved = (places != self._measured).any(axis=1)[self.faces].any(axis=1)
+        self._short[moved] = shortfall(self._shell, places, self.faces[moved], self._need)
+        self._measured = places
+        return self._of_faces(self._short > 0.0)
+
+    def wrong(self, vertices: np.ndarray, clear: bool = False) -> np.ndarray:
+        """(p,) whether faces fold, meet others, or are too near to the object, unless they are known to be clear."""
+        places = self.operator @ vertices
+        found = np.zeros(self.cage.face_count, bool) if clear else self.short(vertices)
+        found[PolygonFaces(vertices, self._polygons.corners, self._polygons.sizes).cut] = True
+        found[self.owner[folded_pairs(places, self.faces)]] = True
+        rings, ring = np.unique(self.faces.max(axis=1), return_inverse=True)  # those about middles: the fewest
+        return found | self._of_faces(meeting_rings(places, self.faces, rings)[ring])
+
+    def _of_faces(self, triangles: np.ndarray) -> np.ndarray:
+        found = np.zeros(self.cage.face_count, bool)
+        found[self.owner[triangles]] = True
+        return found
+
+    def corners(self, chosen: np.ndarray) -> np.ndarray:
+        """(v,) whether vertices are of faces chosen (p,), or of their mirror images."""
+        polygons = self._polygons
+        found = np.zeros(len(self.cage.vertices), bool)
+        found[polygons.corners[chosen[polygons.owner]]] = True
+        return found if self._mirror is None else found | found[self._mirror.partner]
+
+    def touching(self, vertices: np.ndarray) -> np.ndarray:
+        """(p,) whether faces have one of the vertices (v,)."""
+        return np.logical_or.reduceat(vertices[self._polygons.corners], self._polygons.starts)
+
+    def without(self, cut: np.ndarray) -> np.ndarray:
+        """The quads (q, 4) but those that are cut, (p,) bool, and their mirror images."""
+        quads = {frozenset(face): face for face in self.cage.polygons if len(face) > 3}
+        gone = {frozenset(self.cage.polygons[face]) for face in np.flatnonzero(cut)}
+        gone |= set() if self._mirror is None else {frozenset(self._mirror.partner[list(f)].tolist()) for f in gone}
+        return np.array([quads[face] for face in quads if face not in gone], dtype=np.int64).reshape(-1, 4)
+
+
 def _held(
-    shell: ObjectShell, cage: ClosedMesh, need: float, mirror: Mirror | None
-) -> tuple[ClosedMesh | None, set[int]]:
-    """The cage with its patches drawn close and kept off the object, or None and the numbers of the faces that do not
-    hold."""
-    if cage.polygon_faces is None:
-        return cage, set()
-    fine, wrong = cage.polygon_faces.refined(CELLS), set()
-    faces = fine.faces.astype(np.int64)
-    for rounds in _DRAWN_ROUNDS:
-        followed = _Followed(cage.vertices, fine.operator, mirror)
-        vertices = fine.operator @ cage.vertices
-        vertices = drawn_close(shell, vertices, faces, need, followed, rounds) if rounds else vertices
-        vertices, clear = cleared(shell, vertices, faces, need, followed)
-        found = cage.with_vertices(followed.vertices)
-        wrong = _not_holding(shell, found, fine, 0.0 if clear else need)
-        if wrong:
-            found, still = _withdrawn(shell, cage, found, wrong, fine, need, mirror)
-            vertices = fine.operator @ found.vertices
-            if still:  # fewest quads are cut, but some: triangles alone would be wrong again
-                cut = [{face for face in each if len(cage.polygons[face]) > 3} for each in (wrong, still)]
-                wrong = min(filter(None, cut), key=len, default=still)
-                continue
-        # coarser triangles, which some coordinates take, lie on both sides of the patches
-        coarse = found.refined(1)
-        inside = (crossings(shell.voxels.skin, coarse.vertices, coarse.faces) >= 1).all()
-        if inside and not tangle(shell, coarse.vertices, coarse.faces) and not flaw(shell, vertices, faces):
-            return found, set()
-        wrong = set(range(cage.face_count))
-    return None, wrong
-
-
-def _not_holding(shell: ObjectShell, cage: ClosedMesh, fine: Any, need: float) -> set[int]:
-    """Numbers of the faces of a cage that fold, cross others, or whose patches, `fine`, are nearer than `need` to the
-    object (0: they are known to be clear)."""
-    vertices, faces = fine.operator @ cage.vertices, fine.faces.astype(np.int64)
-    wrong = {*_folded(cage).tolist(), *crossing_faces(cage).reshape(-1).tolist()}
-    wrong |= set(fine.owner[folded_pairs(vertices, faces)].reshape(-1).tolist())
-    if need:
-        short = shortfall(shell, vertices, faces, need)
-        wrong |= set(fine.owner[short > 0.0].tolist())
-    return wrong
-
-
-def _withdrawn(
-    shell: ObjectShell, before: ClosedMesh, after: ClosedMesh, wrong: set[int], fine: Any, need: float, mirror: Any
-) -> tuple[ClosedMesh, set[int]]:
-    """A cage on its way from before, where triangles hold, to after, a part of the way about faces that would not; and
-    those that do not hold all the same. fine: its patches."""
-    share, moves, polygons = np.ones(len(before.vertices)), after.vertices - before.vertices, before.polygons
-    while wrong:
-        rows = np.unique(np.concatenate([polygons[face] for face in wrong]))
-        rows = rows if mirror is None else np.union1d(rows, mirror.partner[rows])
-        if not share[rows].any():
+    shell: ObjectShell, cage: ClosedMesh, quads: np.ndarray, need: float, mirror: Mirror | None
+) -> ClosedMesh | None:
+    """The cage with as many of the quads (q, 4) as hold, drawn close and kept off the object; None where none does."""
+    if not len(quads):
+        return None
+    patches = _Patches(shell, cage, quads, need, mirror)
+    drawn, clear = patches.moved(cage.vertices, _DRAWN_ROUNDS)
+    if not patches.wrong(drawn, clear).any():
+        return patches.cage.with_vertices(drawn)
+    vertices = cage.vertices
+    for turn in itertools.count():
+        held, clear = patches.moved(vertices)
+        wrong = patches.wrong(held, clear)
+        if not wrong.any():
             break
-        share[rows] = np.where(share[rows] > MIN_WAY, 0.5 * share[rows], 0.0)
-        after = before.with_vertices(before.vertices + share[:, None] * moves)
-        wrong = _not_holding(shell, after, fine, need)
-    return after, wrong
-
-
-def _folded(cage: ClosedMesh) -> np.ndarray:
-    """(k,) faces whose patches fold where the vertices are now."""
-    polygons = cage.polygon_faces
-    assert polygons is not None
-    return PolygonFaces(cage.vertices, polygons.corners, polygons.sizes).cut
+        # what does not hold goes back to where triangles did, and quads that push there are cut
+        back, pushed = patches.corners(wrong), patches.short(cage.vertices)
+        cut = pushed & (wrong if turn == 0 else patches.touching(back) if turn < _TURNS else True)
+        left = patches.without(cut if cut.any() else wrong)
+        if len(left) in (0, len(quads)):
+            return None
+        vertices, quads = np.where(back[:, None], cage.vertices, held), left
+        patches = _Patches(shell, cage, quads, need, mirror)
+    # on the way to where they are drawn close, a part of it about faces that would not hold
+    share = np.ones(len(held))
+    while True:
+        vertices = held + share[:, None] * (drawn - held)
+        back = patches.corners(patches.wrong(vertices))
+        if not share[back].any():
+            return patches.cage.with_vertices(vertices)
+        share[back] = np.where(share[back] > MIN_WAY, 0.5 * share[back], 0.0)
