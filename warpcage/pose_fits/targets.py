@@ -109,9 +109,10 @@ class PoseTargets:
                 np.isfinite(parts[name]).all() and parts[name].min() >= -1 and parts[name].max() <= 2
             ):
                 raise InputError(f"{name} of a pose must be finite, in [0, 1]")
-        if "alphas" in parts and "images" in parts and _shows_more(parts["images"], parts["alphas"], color):
+        if color is not None and "alphas" in parts and "images" in parts:
             shares = parts["alphas"][..., None]
-            parts["images"] = shares * parts["images"] + (1 - shares) * color
+            if _shows_more(parts["images"], parts["alphas"], color):
+                parts["images"] = shares * parts["images"] + (1 - shares) * color
         parts |= self._checked_points(count)
         if shape is None and "points" not in parts:
             raise InputError("a pose needs pictures, masks, depth or points to be fitted to")
