@@ -96,16 +96,16 @@ def weigh_differences(
     first: int,
     frames: Pixels,
     targets: Pixels,
-    seen: Pixels,
-    taken: Pixels,
+    blurred_frames: Pixels,
+    blurred_targets: Pixels,
     weights: wp.array(dtype=wp.float32),
     comparison: Comparison,
     slopes: Pixels,
     roots: Pixels,
     losses: wp.array(dtype=wp.float32),
 ):
-    """losses (views * h * w,): what each pixel adds; slopes by `seen`, blurred frames, as `taken` are targets;
-    roots: differences times the roots of their weights. weights: of pixels. Parts are those of targets."""
+    """losses (views * h * w,): what each pixel adds; slopes by the blurred frames; roots: differences times the
+    roots of their weights. weights: of pixels. Parts are those of targets."""
     n = first + wp.tid()
     weight = comparison.scale * weights[n]
     loss = float(0.0)
@@ -113,7 +113,7 @@ def weigh_differences(
         gain = wp.vec3(1.0)
         if comparison.exposures.shape[0] > 0:
             gain = comparison.exposures[n // comparison.view_pixels]
-        color = wp.cw_mul(gain, seen.rgb[n]) - taken.rgb[n]
+        color = wp.cw_mul(gain, blurred_frames.rgb[n]) - blurred_targets.rgb[n]
         red = robust_square(color[0], ROBUST, weight / 3.0)
         green = robust_square(color[1], ROBUST, weight / 3.0)
         blue = robust_square(color[2], ROBUST, weight / 3.0)
@@ -127,7 +127,7 @@ def weigh_differences(
         known = 0.0
     if targets.alpha.shape[0] > 0:
         counted = wp.where(comparison.known_alone == 1, known, 1.0)
-        found = robust_square(seen.alpha[n] - taken.alpha[n], ROBUST, ALPHA * weight * counted)
+        found = robust_square(blurred_frames.alpha[n] - blurred_targets.alpha[n], ROBUST, ALPHA * weight * counted)
         loss += found[0]
         if slopes.alpha.shape[0] > 0:
             slopes.alpha[n] = found[1]

@@ -38,8 +38,8 @@ def pull_surroundings(first: int, around: Around, slopes: Pixels):
 @wp.kernel
 def sum_exposure_lines(
     first: int,
-    seen: wp.array(dtype=wp.vec3),
-    taken: wp.array(dtype=wp.vec3),
+    frames: wp.array(dtype=wp.vec3),
+    pictures: wp.array(dtype=wp.vec3),
     weights: wp.array(dtype=wp.float32),
     exposures: wp.array(dtype=wp.vec3),
     width: int,
@@ -57,13 +57,13 @@ def sum_exposure_lines(
     product = wp.vec3()
     count = wp.vec3()
     for n in range(line * width, (line + 1) * width):
-        frame = seen[n]
-        off = (wp.cw_mul(exposure, frame) - taken[n]) / ROBUST
+        frame = frames[n]
+        off = (wp.cw_mul(exposure, frame) - pictures[n]) / ROBUST
         counted = wp.vec3()
         for c in range(3):
             counted[c] = weights[n] / wp.sqrt(1.0 + off[c] * off[c])
         square += wp.cw_mul(counted, wp.cw_mul(frame, frame))
-        product += wp.cw_mul(counted, wp.cw_mul(frame, taken[n]))
+        product += wp.cw_mul(counted, wp.cw_mul(frame, pictures[n]))
         count += counted
     squares[line] = square
     products[line] = product

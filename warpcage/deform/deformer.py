@@ -345,8 +345,8 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
                 known, and flow without `flow_pose` or `flow_camera`.
         """
         with self.lock:
-            posed, aims = PosedDeformer(self, self._posed_cages()), {"flow_pose": flow_pose, "flow_camera": flow_camera}
-            return posed.render(camera, outputs=outputs, **aims, **options)
+            posed = PosedDeformer(self, self._posed_cages())
+            return posed.render(camera, outputs=outputs, flow_pose=flow_pose, flow_camera=flow_camera, **options)
 
     def _render(self, camera: Camera, options: RenderOptions) -> Frame:
         """As that of a PosedDeformer."""

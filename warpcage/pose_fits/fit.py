@@ -241,7 +241,7 @@ class _Moved:
         self.deformer = Deformer(deformer.field, deformer.edits, **self._options)
         self.rest = deformer.edits[0].cage
 
-    def bare(self) -> Deformer:
+    def without_object(self) -> Deformer:
         """The field without what the cage moves."""
         return Deformer(self.deformer.field, [CageEdit(self.rest, remove=True)], **self._options).pose(self.rest)
 
@@ -317,7 +317,7 @@ class _Fit:
         assert self.pictures is not None
         random, size = np.random.default_rng(seed), self._rest.size
         if self._targets.is_whole:
-            self.pictures.see_bare(self._moved.bare())
+            self.pictures.set_empty(self._moved.without_object())
         axes = random.normal(size=(restarts, 3))
         angles = np.radians(MAX_TURN) * random.random(restarts) ** (1 / 3)  # even in the ball of rotation vectors
         turns = np.concatenate([np.zeros((1, 3)), angles[:, None] * axes / np.linalg.norm(axes, axis=1, keepdims=True)])

@@ -69,13 +69,15 @@ def _layers(model: Any, bounds: np.ndarray, camera: Camera, device: Any) -> list
     return [found[0], found[2], found[3]]
 
 
-def expose(seen: wp.array, taken: wp.array, width: int, height: int, weights: wp.array, exposures: wp.array) -> None:
-    """Find exposures (n,), in place: factors of red, green and blue by which pictures (n * h * w,) are brighter than
-    frames of the same, where most pixels agree. They are what differences count least with."""
-    device, lines = seen.device, exposures.size * height
+def fit_exposures(
+    frames: wp.array, pictures: wp.array, width: int, height: int, weights: wp.array, exposures: wp.array
+) -> None:
+    """Fit exposures (n,), in place: factors of red, green and blue by which pictures (n * h * w,) are brighter than
+    frames of the same, robust against pixels that show something else."""
+    device, lines = frames.device, exposures.size * height
     sums = [empty_array(lines, wp.vec3, device) for _ in range(3)]
     for _ in range(STEPS):
-        inputs = [seen, taken, weights, exposures, width, height]
+        inputs = [frames, pictures, weights, exposures, width, height]
         launch(sum_exposure_lines, lines, inputs, sums, device=device, work=8 * width)
         launch(solve_exposures, exposures.size, [*sums, height], [exposures], device=device, work=height)
 

@@ -24,7 +24,7 @@ from ..kernels.gradients.differences import Comparison, blur_lines, share_depth_
 from ..scene.scene import Scene
 from ..view.camera import Camera
 from ..view.frame import PART_NAMES, parse_background, part_type
-from .photographs import Surroundings, expose, hull_pixels, pixels_of
+from .photographs import Surroundings, fit_exposures, hull_pixels, pixels_of
 
 #: Pixels that differ by more from the background show the object, where pictures have no opacity.
 SHOWN = 0.06
@@ -256,7 +256,7 @@ class PictureLoss:
         if exposure and self.images is not None and self.alphas is not None:  # what is cut out has one, white has none
             self.images = self.images - (1 - self.alphas[..., None]) * self.background
             self.background = np.zeros(3, np.float32)
-        self._exposure, self._bare = exposure and self.images is not None, self.background
+        self._exposure, self._empty = exposure and self.images is not None, self.background
         self._most = np.inf if hull is None else hull_pixels(self.cameras, hull)
         # what has a depth is covered: a pose may not leave it out
         alphas = ones if self.alphas is None and self.depths is not None else self.alphas
@@ -277,7 +277,7 @@ class PictureLoss:
             ones = np.ones((len(self.cameras), 3), np.float32)
             self._comparison.exposures = wp.array(ones, dtype=wp.vec3, device=self._device)
         self._taps = wp.array(gaussian_taps(blur), dtype=wp.float32, device=self._device) if blur else None
-        self._taken = self._blurred(self._pictures)
+        self._blurred_pictures = self._blurred(self._pictures)
 
     def blurred(self, blur: float) -> PictureLoss:
         """The same pictures with another blur of differences, pixels."""
@@ -299,9 +299,9 @@ class PictureLoss:
             found["rgb"] = self._around.composed(pixels_of(found))
         return found
 
-    def see_bare(self, deformer: Any) -> None:
+    def set_empty(self, deformer: Any) -> None:
         """Take what a Deformer shows without the object, by which `shift` knows it in whole pictures."""
-        self._bare = self.frames(deformer)["rgb"].numpy().reshape(self.images.shape)
+        self._empty = self.frames(deformer)["rgb"].numpy().reshape(self.images.shape)
 
     def __call__(self, deformer: Any, *, with_gradient: bool = True) -> tuple[float, Any]:
         """The loss of the last pose of a Deformer, and its gradient (v, 3) by the posed cage's vertices, or 0."""
@@ -345,12 +345,13 @@ class PictureLoss:
         times the roots of their weights."""
         if not self._comparison.scale:
             self._comparison.scale = 1.0 / self._covered(frames)
-        seen = self._blurred(frames)
+        blurred = self._blurred(frames)
         if self._exposure:
             width, height = self._sides
-            expose(seen["rgb"], self._taken["rgb"], width, height, self._weights, self._comparison.exposures)
+            exposures = self._comparison.exposures
+            fit_exposures(blurred["rgb"], self._blurred_pictures["rgb"], width, height, self._weights, exposures)
         losses = empty_array((self._count, 1), wp.float32, self._device)
-        compared = [pixels_of(parts) for parts in (frames, self._pictures, seen, self._taken)]
+        compared = [pixels_of(parts) for parts in (frames, self._pictures, blurred, self._blurred_pictures)]
         inputs = [*compared, self._weights, self._comparison]
         outputs = [pixels_of(slopes), pixels_of(roots), losses.flatten()]
         launch(weigh_differences, self._count, inputs, outputs, device=self._device)
@@ -406,7 +407,7 @@ class PictureLoss:
             images = self.images
             if self._exposure and frames is None:
                 images = images / self._comparison.exposures.numpy()[:, None, None, :]
-            return np.abs(seen("rgb", images) - self._bare).max(axis=-1) > SHOWN
+            return np.abs(seen("rgb", images) - self._empty).max(axis=-1) > SHOWN
         assert self.depths is not None
         return np.isfinite(seen("depth", self.depths))
 

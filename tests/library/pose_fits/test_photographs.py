@@ -9,7 +9,7 @@ from fields import BOX, ellipsoid, make_field, plain, surrounded_ball
 from warpcage import Deformer, PoseTargets, Scene, VoxelField, fit_pose, turntable
 from warpcage.field import harmonics_on_host
 from warpcage.pose_fits.motions import smooth_basis
-from warpcage.pose_fits.photographs import expose, hull_pixels
+from warpcage.pose_fits.photographs import fit_exposures, hull_pixels
 from warpcage.pose_fits.targets import PictureLoss
 
 
@@ -79,7 +79,7 @@ def test_exposures_are_found_beside_what_moves(device):
         parts = [wp.array(part.reshape(-1, 3), dtype=wp.vec3, device=device) for part in (seen, images)]
         counted = wp.array(weights.ravel(), dtype=wp.float32, device=device)
         for _ in range(times):
-            expose(*parts, 32, 24, counted, exposures)
+            fit_exposures(*parts, 32, 24, counted, exposures)
         return exposures.numpy()
 
     weights = np.ones((3, 24, 32))

@@ -324,11 +324,11 @@ def _cage_around_points(
         if best.polygon_faces is None:
             warnings.warn("no quads around this object hold: the cage has triangles", stacklevel=2)
     if sizing and detail == "even":
-        say_unrefined(best, sizing)
+        warn_unrefined(best, sizing)
     return best.vertices, best.face_array
 
 
-def say_unrefined(cage: ClosedMesh, sizing: Sizing) -> None:
+def warn_unrefined(cage: ClosedMesh, sizing: Sizing) -> None:
     """One line where the edges of a cage are no shorter where a sizing asks for that."""
     ends = cage.vertices[cage.edges]
     lengths, asked = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), relative_sizes(sizing, ends.mean(axis=1))

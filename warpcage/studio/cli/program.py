@@ -20,7 +20,7 @@ from typing import Any, NoReturn, TextIO
 from ...core import reports
 from ...core.names import error_line, extra_line
 from ...errors import InputError, MissingPackageError
-from ...package import ManyImports
+from ...package import PausedCollection
 from .arguments import cages, fields, info, render, runs, scenes  # noqa: F401  (they bring their commands)
 from .arguments.options import COMMANDS, package_version
 
@@ -325,7 +325,7 @@ def _early_workers(arguments: argparse.Namespace) -> contextlib.AbstractContextM
 
 def _command(name: str) -> Callable[[argparse.Namespace], int | None]:
     """What runs a command."""
-    with ManyImports(frozen=True):
+    with PausedCollection(frozen=True):
         module = importlib.import_module(f".{COMMANDS[name].module}", __package__)
     return getattr(module, f"run_{name.replace('-', '_')}")
 

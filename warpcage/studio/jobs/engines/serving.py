@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
-from ....package import ManyImports
+from ....package import PausedCollection
 
 if TYPE_CHECKING:
     from .chunk_runner import ChunkRunner
@@ -165,7 +165,7 @@ def serve(loads: bool, device: str | None) -> None:
     os.dup2(2, 1)  # what is printed is no answer
     if loads:
         # what goes wrong is raised again, and reported, where the runner is made
-        with ManyImports(frozen=True), contextlib.suppress(Exception):
+        with PausedCollection(frozen=True), contextlib.suppress(Exception):
             from ....core.devices import resolve_device
             from .. import worker  # noqa: F401
             from .chunk_runner import check_device
@@ -174,12 +174,12 @@ def serve(loads: bool, device: str | None) -> None:
     settings = received(calls)
     if settings is None:
         return
-    with ManyImports(frozen=True):
+    with PausedCollection(frozen=True):
         from ....core.names import error_line
         from .chunk_runner import MAX_CALLS, make_runner
 
     def make() -> ChunkRunner:
-        with ManyImports(frozen=True):
+        with PausedCollection(frozen=True):
             return make_runner(pickle.loads(settings))
 
     pool = ThreadPoolExecutor(MAX_CALLS + 1, "warpcage-calls")
