@@ -33,10 +33,10 @@ from .frame_samples import (
     density_at,
     frame_ray,
     kept_count,
+    kept_place,
     optical_length,
     packed_end,
     ray_end,
-    sample_place,
     slope_by_color,
 )
 
@@ -393,7 +393,9 @@ def weigh_samples(
     ray = frame_ray(rays, place)
     line = edit_line(edit, grid, ray.origin, ray.direction)
     t = sample_distance(ray_sample(kept[0], 0.0, kept[1]), options.step)
-    found = sample_place(edit, grid, ray.direction, lattice_place(edit, grid, line, t), kept[1])
+    found = kept_place(edit, grid, ray.direction, lattice_place(edit, grid, line, t), kept[1])
+    if found.in_cell == 0:
+        return
     cell = cell_of_sample(table.columns, found.g)
     color = blended_color(grid.sh, cell.rows, cell.weights, sh_basis(seen_along(found, ray.direction)))
     kept[3] = shown_value(color, t, slope_by_color(rays.loss, ray.pixel), ray_end(samples, place).by_depth)
@@ -474,7 +476,12 @@ def accumulate_frame_gradient(
         share = kept[1]
         t = sample_distance(ray_sample(kept[0], 0.0, share), options.step)
         at = lattice_place(edit, grid, line, t)
-        found = sample_place(edit, grid, ray.direction, at, share)
+        found = kept_place(edit, grid, ray.direction, at, share)
+        if found.in_cell == 0:
+            if groups == 1:
+                end = end_before(end, kept[2], 0.0)
+            slot -= groups
+            continue
         cell = cell_of_sample(table.columns, found.g)
         length = optical_length(found, share, options)
         sigma = density_at(table, grid, found.g)

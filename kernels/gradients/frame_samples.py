@@ -168,7 +168,8 @@ class SamplePlace:
     stretch: float  # of that slope
     parts: int
     filled: int
-    g: wp.vec3  # node coordinates in the field's grid
+    in_cell: int  # 1: in a cell of the field's grid that holds something
+    g: wp.vec3  # node coordinates in the grid
 
 
 @wp.func
@@ -208,12 +209,22 @@ def sample_place(edit: EditData, grid: VoxelGrid, direction: wp.vec3, at: Lattic
     found.g = grid_position(grid, place.position)
     if empty_at(grid, found.g) > 0:
         return found
+    found.in_cell = 1
     distance = distance_to_rest(edit, place, at.look)
     if place.mapped == 1:
         found.filled = wp.where(distance > edit.slack, 0, 1)  # not out of the rest cage
     else:
         found.filled = wp.where(distance <= 0.0, 0, 1)  # not cleared
     return found
+
+
+@wp.func
+def kept_place(edit: EditData, grid: VoxelGrid, direction: wp.vec3, at: LatticePlace, share: float):
+    """`sample_place` of a kept sample. Rounding, which is another in each kernel, may take one out of its cell: those
+    that are then in none that holds something count for nothing."""
+    if is_empty(at):
+        return SamplePlace()
+    return sample_place(edit, grid, direction, at, share)
 
 
 @wp.func
