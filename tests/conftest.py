@@ -78,7 +78,8 @@ def pytest_make_collect_report(collector):
     rest of collecting. The others follow it through the files."""
     if not isinstance(collector, pytest.Module) or not hasattr(collector.config, "workerinput"):
         return (yield)
-    with filelock.FileLock(collector.config.cache.mkdir("collected") / f"{collector.path.stem}.lock"):
+    of_all_workers = pathlib.Path(collector.config.option.basetemp).parent
+    with filelock.FileLock(of_all_workers / f"{collector.path.stem}.lock"):
         return (yield)
 
 
