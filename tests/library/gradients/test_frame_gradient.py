@@ -310,7 +310,7 @@ def test_rays_of_many_runs_have_the_gradient_of_one(device, monkeypatch):
         monkeypatch.setattr(frame, "HELD_SAMPLES", {"cpu": held, "cuda": held})
         found = frame_gradient(deformer, camera, loss, by_camera=True, step=0.02)
         for name in ("nodes", "camera"):
-            one, other = (np.asarray(getattr(each, name)) for each in (expected, found))
+            one, other = (getattr(each, name).numpy() for each in (expected, found))
             np.testing.assert_allclose(other, one, atol=1e-4 * np.abs(one).max())
 
 
@@ -331,7 +331,7 @@ def test_samples_that_rounding_takes_out_of_their_cell_count_for_nothing(device,
     loss = np.random.default_rng(5).normal(size=(16, 20, 3))
     found = frame_gradient(deformer, small_camera(), loss, by_camera=True, by_field=True)
     for name in ("nodes", "camera", "harmonics", "density"):
-        most = np.abs(np.asarray(getattr(found, name))).max()
+        most = np.abs(getattr(found, name).numpy()).max()
         assert (most > 0) == (far == 0) and np.isfinite(most), name
 
 
