@@ -57,15 +57,22 @@ class _Level:
     """A step from coarse to fine."""
 
     share: float  # of the pictures' pixels
-    blur: float  # standard deviation, pixels of the smaller pictures
+    blur: float  # standard deviation, pixels of the smaller pictures, at least
+    wide: float  # the same as a share of their longer side: parts of the object are far from where they are to be
     evaluations: int
+
+    def blur_at(self, size: int) -> float:
+        """Standard deviation, pixels, for a longer side of so many."""
+        return max(self.blur, self.wide * size)
 
 
 #: Steps of PARAMETERS up to those that are fitted, and what follows with these.
-COARSE: dict[str, _Level] = dict(
-    zip(PARAMETERS, (_Level(1 / 8, 1.5, 25), _Level(1 / 4, 1.5, 20), _Level(1 / 4, 1.0, 30)), strict=False)
-)
-FINE = (_Level(1 / 2, 0.7, 30), _Level(1.0, 0.0, 25))
+COARSE: dict[str, _Level] = {
+    "rigid": _Level(1 / 8, 1.5, 0.06, 25),
+    "affine": _Level(1 / 4, 1.5, 0.03, 20),
+    "handles": _Level(1 / 4, 1.0, 0.02, 30),
+}
+FINE = (_Level(1 / 2, 0.7, 0.0, 30), _Level(1.0, 0.0, 0.0, 25))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -284,13 +291,13 @@ class _Fit:
         if self._targets.has_pictures:
             size = max(round(level.share * self._largest), min(MIN_PIXELS, self._largest))
             if self.pictures is not None and self.pictures.size == size:
-                self.pictures = self.pictures.blurred(level.blur)
+                self.pictures = self.pictures.blurred(level.blur_at(size))
             else:
                 behind = 0.0 if self._targets.depths is None else self._moved.depth_behind
                 self.pictures = PictureLoss(
                     self._targets,
                     size,
-                    level.blur,
+                    level.blur_at(size),
                     self._rest.size,
                     self._deformer.device,
                     behind,
@@ -408,7 +415,7 @@ class _Fit:
         informed = int((np.abs(columns).max(axis=1) > 1e-6 * np.abs(columns).max()).sum())
         variance = float(before @ before) / max(informed - count, 1)
         if self.pictures is not None:
-            variance *= max(4 * np.pi * level.blur**2, 1.0)
+            variance *= max(4 * np.pi * self.pictures.blur**2, 1.0)
         values, vectors = np.linalg.eigh(columns.T @ columns + 0.25 * (curvature + curvature.T))
         spread = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()) / variance)
         return np.linalg.norm(np.tensordot(basis, spread.reshape(-1, 3, count), 1), axis=(1, 2))

@@ -29,9 +29,9 @@ from .photographs import Surroundings, fit_exposures, hull_pixels, pixels_of
 #: Pixels that differ by more from the background show the object, where pictures have no opacity.
 SHOWN = 0.06
 
-#: Differences of depths that count most, as shares of the cage's size: with pictures that are not blurred, and how many
-#: times more for each pixel of blur.
-DEPTH_SCALE, DEPTH_BLUR = 0.03, 1.0
+#: Differences of depths that count most, as shares of the cage's size: with pictures that are not blurred, as much more
+#: for each pixel of blur, and at most: with 0.12 an object that leaves the picture counts less than one that is beside.
+DEPTH_SCALE, MAX_DEPTH_SCALE = 0.03, 0.075
 
 #: Bytes of a pixel of frames with their masks, of their differences and slopes.
 FRAME_BYTES = 128
@@ -270,7 +270,7 @@ class PictureLoss:
         """Blur differences from now on, pixels; the next frames say how many pixels the object covers."""
         self.blur, self._comparison = blur, Comparison()
         self._comparison.unit, self._comparison.behind = self._unit, self._behind
-        self._comparison.depth_scale = DEPTH_SCALE * (1 + DEPTH_BLUR * blur)
+        self._comparison.depth_scale = min(DEPTH_SCALE * (1 + blur), MAX_DEPTH_SCALE)
         self._comparison.known_alone = int(self.alphas is None)
         self._comparison.view_pixels = self._sides[0] * self._sides[1]
         if self._exposure:
