@@ -45,6 +45,16 @@ def test_a_shift_is_found_and_written(files, pictures, capsys):
     assert np.array_equal(found.faces, rest.faces)
 
 
+def test_a_pose_stands_in_its_file_as_the_cage_does(files):
+    """A cage with y up gives a pose with y up, so that `--cage-up` reads both."""
+    Cage.load(files / "cage.obj").save(files / "standing.obj", up="y")
+    command = ("fit-pose", "@ball.npz", "--cage", "@standing.obj", "--cage-up", "y", "--pictures", "@moved")
+    options = ("--parameters", "rigid", "--restarts", "0", "--quiet", "--device", "cpu")
+    succeed(files, *command, "-o", "@turned.obj", *options)
+    rest, found = (Cage.load(files / name, up="y") for name in ("standing.obj", "turned.obj"))
+    np.testing.assert_allclose((found.vertices - rest.vertices).mean(axis=0), SHIFT, atol=0.03)
+
+
 def test_what_is_missing_is_said_in_one_line(files, capsys):
     command = ("fit-pose", "@ball.npz", "--cage", "@cage.obj")
     for more, message in (
@@ -52,6 +62,7 @@ def test_what_is_missing_is_said_in_one_line(files, capsys):
         (("--pictures", "@moved", "-o", "@new.png"), "cage file"),
         (("--pictures", "@moved", "-o", "@new.obj", "--start", "@other.obj"), "26"),
         (("--pictures", "@moved"), "--output"),
+        (("--pictures", "@moved", "-o", "@cage.obj"), "is the cage at rest itself"),
     ):
         assert run(files, *command, *more) == 2
         said = capsys.readouterr().err

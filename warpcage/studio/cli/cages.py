@@ -435,11 +435,7 @@ def run_pose(args: argparse.Namespace) -> None:
         raise InputError(f"--{given[0]} is for keys of a pose file: give one with -o (.json)")
     if not args.steps:
         raise InputError("no step given: --bend, --twist, --taper, --stretch, --scale, --rotate or --translate")
-    if output.exists() and pathlib.Path(args.cage).exists() and output.samefile(args.cage):
-        raise InputError(
-            f"-o {output} is the cage at rest itself, which is needed beside a posed one: name another file"
-        )
-
+    shared.require_other_file(output, args.cage)
     rest = read_cage(args, asset_resolver())
     stepped(rest.cage, args).save(output, up=args.cage_up or rest.ups.get(ending(str(output))))
     steps = (f"{name} {value if isinstance(value, float) else tuple(value)}" for name, value in args.steps)

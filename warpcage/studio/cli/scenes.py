@@ -150,6 +150,7 @@ def _described(field: VoxelField | SplatField) -> str:
 
 def run_fit_pose(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, tuple(mesh_endings("write")), "cage file")
+    shared.require_other_file(output, args.cage)
     options.require_folder(args.pictures)
     field, resolver = shared.read_field_file(args), asset_resolver()
     rest = resolver.rest(args.cage, args.cage_up, field, object=args.cage_object)
@@ -167,6 +168,6 @@ def run_fit_pose(args: argparse.Namespace) -> None:
         targets = dataclasses.replace(targets, background=args.background)
     given = {name: getattr(args, name) for name in "parameters regularize restarts max_pixels exposure seed".split()}
     found = fit_pose(deformer, targets, start=start, **given, progress=not args.quiet)
-    found.cage.save(output)
+    found.cage.save(output, up=args.cage_up or rest.ups.get(output.suffix.lower()))
     evaluations = sum(len(step.losses) for step in found.history)
     print(f"wrote {output}: {counted(len(scene), 'picture')}, {evaluations} evaluations, loss {found.loss:.3g}")

@@ -239,6 +239,14 @@ def scene_masks(path: str, field: AnyField) -> dict[str, Any]:
     return {"masks": [scene.cut(index, mask) for index, mask in enumerate(masks)], "cameras": scene.cameras}
 
 
+def require_other_file(output: pathlib.Path, cage: str) -> None:
+    """Refuse to write a pose over the cage at rest."""
+    if output.exists() and pathlib.Path(cage).exists() and output.samefile(cage):
+        raise InputError(
+            f"-o {output} is the cage at rest itself, which is needed beside a posed one: name another file"
+        )
+
+
 def require_field_scale(args: argparse.Namespace) -> None:
     """Raises ValueError for --scene-scale where no field takes it."""
     if getattr(args, "scene_scale", None) not in (None, 1.0) and not str(args.field).lower().endswith(".npz"):
