@@ -5,19 +5,22 @@ from __future__ import annotations
 import dataclasses
 import functools
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.pose_file import DEFAULT_RATE, PoseFile, posed_cage
-from ..core.checks import checked_flag, checked_whole, require_type
+from ..core.checks import checked_flag, checked_whole, real_array, require_type, warn_caller
 from ..core.names import named_errors
 from ..core.reports import Progress, report_progress, reports_progress
 from ..deform.deformer import Deformer
 from ..edits.edits import CageEdit
 from ..errors import InputError
+from ..fitting.evaluation import in_world_of
+from ..scene.scene import Scene
+from ..splats.splat_field import SplatField
 from .motions import (
     HANDLES,
     PARAMETERS,
@@ -28,6 +31,7 @@ from .motions import (
     checked_parameters,
     smooth_basis,
 )
+from .photographs import hull_pixels
 from .points import PointLoss
 from .priors import DEFAULT_WEIGHTS, Priors
 from .surface import depth_behind
@@ -47,6 +51,13 @@ TRIED = 10
 
 #: A step ends where the loss falls by less than this share; how many steps the curvature is taken from.
 ENOUGH, MEMORY = 1e-5, 20
+
+#: Losses below which a pose matches, and above which it does not; between them the share of what the loss is without
+#: the object.
+GOOD, POOR, UNMATCHED = 0.01, 0.1, 0.9
+
+#: Depths differ in the median by a share of the size that no pose has which matches.
+POOR_DEPTH = 0.1
 
 #: Vertices move by this share of the size for differences of frames.
 DIFFERENCE = 2e-3
@@ -134,12 +145,14 @@ def fit_pose(
 
     Args:
         deformer: A Deformer of one edit on a lattice. It is not changed: its pose stays.
-        targets: A Scene, such as `load_scene` reads; a PoseTargets with masks, depth, points or landmarks; or pictures
+        targets: A Scene, such as `load_scene` reads (in the world of its files where the field was straightened, too);
+            a PoseTargets with masks, depth, points or landmarks; or pictures
             (n, h, w, 3) before white or (n, h, w, 4) with opacity, in [0, 1], with `cameras`.
         cameras: For arrays of pictures, a Camera each, in the field's world.
         parameters: What may move in the end: "rigid", "affine", "handles" (the 16 smoothest shapes of the cage),
             "vertices"; or a basis: (v, k) shares of k vectors in each vertex, such as weights of handles, or (k, v, 3)
-            displacements, each times a number. A basis alone is fitted at all sizes, without what comes before.
+            displacements, each times a number; their lengths do not count. A basis alone is fitted at all sizes,
+            without what comes before.
         regularize: Weight of the prior that vertices move rigidly with their neighbours (Sorkine and Alexa 2007), at
             least 0; or weights by name: "rigid" (0.05 where it is not named), "volume" (of the square of the relative
             change of volume), "symmetry" (that the pose is its own mirror image, as the cage at rest is across the
@@ -158,11 +171,13 @@ def fit_pose(
             and cancels the fit by returning False or by raising.
 
     Returns:
-        The pose, with the loss that is left, the history, and the uncertainty.
+        The pose, with the loss that is left, the history, and the uncertainty. A warning says where what was found
+        does not match what it was fitted to.
 
     Raises:
         ValueError: For targets that do not fit together, a deformer of several edits or none on a lattice, unknown
-            parameters, weights below 0, or a start that is no pose of the cage.
+            parameters, weights below 0, a start that is no pose of the cage or that no picture shows, points outside
+            of the cage, or black pictures with `exposure`.
         Cancelled: Where `progress` returned False.
     """
     moved = deformer if isinstance(deformer, _Moved) else _Moved(deformer, "fit_pose")
@@ -172,15 +187,20 @@ def fit_pose(
     checked_flag(uncertainty, "uncertainty")
     checked_whole(seed, "seed", 0)
     rest = moved.rest
-    named = checked_parameters(parameters, len(rest.vertices))
-    begin = rest.vertices if start is None else posed_cage(rest, start, "the start of a fit").vertices
+    named = checked_parameters(parameters, rest)
+    begin = rest.vertices if start is None else posed_cage(rest, start, "the start of a fit must be").vertices
+    if isinstance(targets, Scene):
+        targets = in_world_of(moved.deformer, targets)
     options = {"max_pixels": max_pixels, "exposure": exposure, "progress": progress}
     fit = _Fit(moved, PoseTargets.of(targets, cameras), Priors(rest, begin, regularize), begin, **options)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of what poses on the way do
         if restarts and not (isinstance(named, np.ndarray) or fit.pictures is None):
             begin = fit.aligned(begin, restarts, seed)
-        return fit.run(named, begin, uncertainty)
+        found = fit.run(named, begin, uncertainty)
+    if fit.doubt:
+        warn_caller(moved.label + fit.doubt)
+    return found
 
 
 @reports_progress
@@ -202,13 +222,13 @@ def fit_poses(
 
     Args:
         deformer: As for `fit_pose`.
-        targets: What `fit_pose` takes, one for each moment.
-        times: Seconds of the moments, increasing. None is 24 a second.
+        targets: What `fit_pose` takes, one for each moment; None for a moment without, which gets no key.
+        times: Seconds of the moments, increasing, such as numpy.arange(n) / 30. None is 24 a second.
         cameras: As for `fit_pose`, the same for all moments.
         start: The pose to begin the first fit with. None is the cage at rest.
         restarts: Turns that the first fit tries; later ones try none.
         progress: As for `fit_pose`; done and total count moments.
-        options: More of `fit_pose`.
+        options: More of `fit_pose`, but for `uncertainty`.
 
     Returns:
         A PoseFile with a key for each moment, "0000", "0001" and so on, in a straight line from each to the next.
@@ -217,17 +237,26 @@ def fit_poses(
         ValueError: As `fit_pose`, with the number of the moment; for no moments, or times that are not as many.
         Cancelled: Where `progress` returned False.
     """
+    if not isinstance(targets, Iterable):
+        raise InputError(f"targets of fit_poses must be a list, one for each moment, got {type(targets).__name__}")
+    if "uncertainty" in options:
+        raise InputError("a sequence has no uncertainty: ask fit_pose for that of a moment")
     moments = list(targets)
-    when = np.arange(len(moments)) / DEFAULT_RATE if times is None else np.asarray(times, np.float64)
-    if not moments or when.shape != (len(moments),) or not (np.diff(when) > 0).all():
-        raise InputError(f"times of poses must increase, one for each of {len(moments)} moments")
+    if all(moment is None for moment in moments):
+        raise InputError("a sequence needs targets of some moment, got none")
+    when = np.arange(len(moments)) / DEFAULT_RATE if times is None else real_array(times, "times of poses")
+    if when.shape != (len(moments),) or not (np.isfinite(when).all() and (np.diff(when) > 0).all()):
+        raise InputError(f"times of poses must increase, one for each of {len(moments)} moments, in seconds")
     moved: Any = _Moved(deformer, "fit_poses")
     file, pose = PoseFile(moved.rest), start
     for number, moment in enumerate(moments):
         report_progress(progress, number, len(moments), "fit poses")
+        if moment is None:
+            continue
+        moved.label = f"moment {number}: "
         with named_errors(f"moment {number}"):
             pose = fit_pose(
-                moved, moment, cameras=cameras, start=pose, restarts=0 if number else restarts, **options
+                moved, moment, cameras=cameras, start=pose, restarts=0 if len(file) else restarts, **options
             ).cage
         name = f"{number:04d}"
         file[name], file.times[name], file.easings[name] = pose, float(when[number]), "linear"
@@ -239,15 +268,32 @@ class _Moved:
     """The Deformer that fits move in place of a caller's, whose pose stays."""
 
     def __init__(self, deformer: Deformer, name: str):
-        require_type(deformer, Deformer, f"{name} needs a Deformer,")
+        require_type(deformer, Deformer, f"{name} needs")
         if len(deformer.edits) != 1 or deformer.edits[0].remove:
-            raise InputError("a pose is fitted for a deformer of one edit, which moves or copies")
+            edits = "an edit that removes" if len(deformer.edits) == 1 else f"{len(deformer.edits)} edits"
+            raise InputError(
+                f"{name} takes a Deformer of one edit that moves or copies, this one is of {edits}: fit the pose of "
+                "each cage with a Deformer of its own"
+            )
         resolution = None if deformer.resolution is None else min(deformer.resolution, MAX_CELLS)
         options: dict[str, Any] = {"density": deformer.density, "map": deformer.map, "device": deformer.device}
         self._options = options | {"coordinates": deformer.coordinates, "resolution": resolution}
         self.deformer = Deformer(deformer.field, deformer.edits, **self._options)
         self.rest = deformer.edits[0].cage
+        self.label = ""  # of warnings
 
+    def require_gradients(self) -> None:
+        """Refuse edits whose frames have none."""
+        edit, is_splats = self.deformer.edits[0], isinstance(self.deformer.field, SplatField)
+        if edit.falloff or edit.fragments:
+            raise InputError(
+                "a pose is fitted to pictures for an edit without falloff and fragments: leave them out for the fit, "
+                "the pose that is found may have them"
+            )
+        if self.deformer.resolution is None and not is_splats:
+            raise InputError("a pose is fitted to pictures on a lattice: give the Deformer a resolution")
+
+    @functools.cached_property
     def without_object(self) -> Deformer:
         """The field without what the cage moves."""
         return Deformer(self.deformer.field, [CageEdit(self.rest, remove=True)], **self._options).pose(self.rest)
@@ -284,6 +330,15 @@ class _Fit:
         self._history: list[PoseStep] = []
         self._progress, self._done = progress, 0
         self.pictures: PictureLoss | None = None
+        self.doubt = ""
+        if targets.has_pictures:
+            moved.require_gradients()
+            moved.deformer.pose(begin)  # refuses what is no pose
+            if self._points is None and not hull_pixels(targets.cameras, begin):
+                raise InputError(
+                    "no picture shows the cage where the fit begins: cameras must be in the world of the field, with "
+                    "its axes and its unit, and look along +z of their own axes"
+                )
         self._at(COARSE["rigid"], begin)
 
     def _at(self, level: _Level, vertices: np.ndarray) -> None:
@@ -324,7 +379,7 @@ class _Fit:
         assert self.pictures is not None
         random, size = np.random.default_rng(seed), self._rest.size
         if self._targets.is_whole:
-            self.pictures.set_empty(self._moved.without_object())
+            self.pictures.set_empty(self._moved.without_object)
         axes = random.normal(size=(restarts, 3))
         angles = np.radians(MAX_TURN) * random.random(restarts) ** (1 / 3)  # even in the ball of rotation vectors
         turns = np.concatenate([np.zeros((1, 3)), angles[:, None] * axes / np.linalg.norm(axes, axis=1, keepdims=True)])
@@ -350,8 +405,27 @@ class _Fit:
             motion = self._motion(name, vertices, parameters)
             _, vertices = self._minimize(motion, vertices, level.evaluations, name)
         loss, _ = self._loss(vertices, with_gradient=False)
+        self.doubt = self._doubt(vertices, loss)
         spread = self._uncertainty(vertices) if uncertainty else None
         return PoseFit(self._rest.with_vertices(vertices), loss, tuple(self._history), spread)
+
+    def _doubt(self, vertices: np.ndarray, loss: float) -> str:
+        """Why the last pose may be none of what it was fitted to, "" where it seems to be."""
+        what = f"the pose that was found does not match what it was fitted to, with a loss of {loss:.2g}"
+        world = "are the cameras, depths and points in the world of the field and in its unit"
+        if self.pictures is not None:
+            if not hull_pixels(self._targets.cameras, vertices):
+                return f"the pose that was found lies in none of the pictures: do they show the object, and {world}?"
+            off = self.pictures.depth_off(self._deformer)
+            if off > POOR_DEPTH:
+                return f"{what}: depths differ by {off:.2g} times the cage's size in the median: {world}?"
+            without, _ = self.pictures(self._moved.without_object, with_gradient=False)
+            if loss > max(UNMATCHED * without, GOOD):
+                return f"{what}, for {without:.2g} without the object: do the pictures show it, and {world}?"
+        if loss > POOR:
+            color = "" if self.pictures is None else ", and is the background that of the pictures, or their exposure"
+            return f"{what}, where less than 0.02 is usual: {world}{color}?"
+        return ""
 
     def _motion(self, name: str, vertices: np.ndarray, parameters: Any) -> Motion:
         """What moves in a step."""

@@ -108,11 +108,12 @@ def smooth_basis(cage: ClosedMesh, count: int | None = None) -> np.ndarray:
     return cage.size * np.sqrt(vertices) * (vectors * weights)[:, :count]
 
 
-def checked_parameters(parameters: Any, vertex_count: int) -> str | np.ndarray:
-    """A name of `PARAMETERS`, or a basis (v, k) or (k, v, 3) as float64."""
+def checked_parameters(parameters: Any, rest: ClosedMesh) -> str | np.ndarray:
+    """A name of `PARAMETERS`, or a basis (v, k) or (k, v, 3) as float64, each of which moves some vertex by the size of
+    the cage."""
     if isinstance(parameters, str):
         return checked_choice(parameters, "parameters", PARAMETERS)
-    basis = real_array(parameters, "parameters")
+    basis, vertex_count = real_array(parameters, "parameters"), len(rest.vertices)
     is_shares = basis.ndim == 2 and basis.shape[0] == vertex_count and basis.shape[1]
     is_shapes = basis.ndim == 3 and basis.shape[1:] == (vertex_count, 3) and basis.shape[0]
     if not (is_shares or is_shapes) or not np.isfinite(basis).all():
@@ -120,4 +121,8 @@ def checked_parameters(parameters: Any, vertex_count: int) -> str | np.ndarray:
             f"parameters must be a name or finite numbers ({vertex_count}, k) or (k, {vertex_count}, 3), "
             f"got {basis.shape}"
         )
-    return basis
+    lengths = np.abs(basis) if is_shares else np.linalg.norm(basis, axis=2, keepdims=True)
+    largest = lengths.max(axis=0 if is_shares else 1, keepdims=True)
+    if not largest.any():
+        raise InputError("parameters are a basis of zeros, which moves nothing")
+    return rest.size * basis / np.where(largest > 0, largest, 1)

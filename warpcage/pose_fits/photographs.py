@@ -98,6 +98,8 @@ def hull_pixels(cameras: Sequence[Camera], vertices: np.ndarray) -> float:
     for camera in cameras:
         places, depths = camera.project(vertices)
         within = np.clip(places, 0, [camera.width, camera.height])
+        if (depths <= 0).all():
+            continue
         if (depths <= 0).any():
             total += camera.width * camera.height
         elif (np.ptp(within, axis=0) > 0).all():

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from ..coordinates.coordinates import deform_points, mean_value_coordinates
+from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
+from ..mesh.queries import inside_mesh
 from ..splats.splat_field import SplatField
 from .priors import Rigidity
 from .targets import PoseTargets
@@ -21,6 +23,9 @@ PULLED_RIGID = 0.005
 
 #: Distances, as shares of the cage's size, above which they count linearly.
 ROBUST = 0.05
+
+#: Share of the size by which points may lie outside of the cage at rest: surfaces that are scanned are not exact.
+MAX_OUTSIDE = 0.02
 
 #: Newton steps that find where the map has a place at rest, and the share of the size that they may leave.
 NEWTON_STEPS, CLOSE = 12, 1e-4
@@ -39,6 +44,11 @@ class PointLoss:
     def __init__(self, targets: PoseTargets, rest: ClosedMesh, device: Any):
         self._targets, self._size = targets, rest.size
         self.points: np.ndarray = np.asarray(targets.points)
+        for number in np.flatnonzero(~inside_mesh(self.points, rest, tolerance=MAX_OUTSIDE, device=device)):
+            raise InputError(
+                f"point {number} of a pose lies outside of the cage at rest, so that it does not move with it: leave "
+                "it out, or take a larger cage"
+            )
         self._shares = np.asarray(mean_value_coordinates(self.points, rest, device=device), np.float64)
         self._added = np.zeros_like(self.points)
         self._pixels = () if targets.pixels is None else np.asarray(targets.pixels)

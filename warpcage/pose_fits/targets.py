@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import array_view, empty_array
-from ..core.checks import real_array
+from ..core.checks import real_array, require_type
 from ..core.devices import SpareMemory, launch
 from ..errors import InputError
 from ..field.render import RenderOptions, picture_arrays
@@ -21,13 +21,16 @@ from ..gradients.frame import voxel_gradient
 from ..gradients.loss import column_sums, run_sums
 from ..gradients.splats import views_gradient
 from ..kernels.gradients.differences import Comparison, blur_lines, share_depth_slopes, weigh_differences
-from ..scene.scene import Scene
+from ..scene.scene import ALPHA_ROOM, IMAGE_ROOM, Scene
 from ..view.camera import Camera
 from ..view.frame import PART_NAMES, parse_background, part_type
 from .photographs import Surroundings, fit_exposures, hull_pixels, pixels_of
 
 #: Pixels that differ by more from the background show the object, where pictures have no opacity.
 SHOWN = 0.06
+
+#: Pictures whose colours are all below are black.
+BLACK = 1.0 / 255.0
 
 #: Differences of depths that count most, as shares of the cage's size: with pictures that are not blurred, as much more
 #: for each pixel of blur, and at most: with 0.12 an object that leaves the picture counts less than one that is beside.
@@ -50,7 +53,7 @@ class PoseTargets:
         depths: (n, h, w) distances from the cameras' centres along the rays to the surface, world units; not finite or
             0 where they are not known. None: there are none. Those of frames lie behind the surface; a fit allows for
             that.
-        weights: (n, h, w) how much each pixel counts, 0 for what is to be ignored. None counts all.
+        weights: (n, h, w) in [0, 1], how much each pixel counts, 0 for what is to be ignored. None counts all.
         background: Colour behind the object, a name or (3,). The field is drawn before it. None is white for pictures
             with opacity, and else what is around the field: its surroundings where it has them, or its own colour.
         points: (p, 3) places of the object at rest, world units. None: there are none.
@@ -73,42 +76,56 @@ class PoseTargets:
     pixels: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        count, shape = len(self.cameras), None if self.images is None else np.shape(self.images)
+        if not isinstance(self.cameras, Sequence | Camera):
+            raise InputError(f"cameras of a pose must be a list, got {type(self.cameras).__name__}")
+        cameras = [self.cameras] if isinstance(self.cameras, Camera) else list(self.cameras)
+        for camera in cameras:
+            require_type(camera, Camera, "cameras of a pose must each be")
+        images = None if self.images is None else real_array(self.images, "images of a pose", np.float32)
+        count, shape = len(cameras), None if images is None else images.shape
         is_whole = shape is not None and self.alphas is None and shape[-1:] == (3,)
         color = None
         if self.background is not None or not is_whole:
             color = parse_background("white" if self.background is None else self.background)
-        parts: dict[str, Any] = {"background": color, "cameras": list(self.cameras)}
-        if shape is not None:
+        parts: dict[str, Any] = {"background": color, "cameras": cameras}
+        if images is not None and shape is not None:
             if len(shape) != 4 or shape[-1] not in (3, 4):
                 raise InputError(f"images of a pose must be (n, h, w, 3) or (n, h, w, 4), got {shape}")
-            images = np.asarray(self.images)
-            if images.dtype.kind in "iu":
-                raise InputError(f"images of a pose must be in [0, 1], got {images.dtype}: divide 8-bit ones by 255")
+            kind = np.asarray(self.images).dtype
+            if kind.kind in "iu":
+                raise InputError(f"images of a pose must be in [0, 1], got {kind}: divide 8-bit ones by 255")
             if shape[-1] == 4:
                 if self.alphas is None:
                     parts["alphas"] = images[..., 3]
                 images = images[..., :3] * images[..., 3:] + (1 - images[..., 3:]) * color
-            parts["images"] = images.astype(np.float32)
+            parts["images"] = images
         for name in ("alphas", "depths", "weights"):
             values = parts.get(name, getattr(self, name))
             if values is not None:
-                values = parts[name] = np.asarray(values, np.float32)
+                values = parts[name] = real_array(values, f"{name} of a pose", np.float32)
                 shape = shape or values.shape
                 if values.shape != shape[:3]:
                     raise InputError(f"{name} of a pose must be {shape[:3]}, got {values.shape}")
         if shape is not None and shape[0] != count:
             raise InputError(f"a pose needs one camera per picture: {shape[0]} pictures, {count} cameras")
-        for index, camera in enumerate(self.cameras if shape is not None else ()):
+        for index, camera in enumerate(cameras if shape is not None else ()):
             if shape and (camera.height, camera.width) != shape[1:3]:
                 raise InputError(
                     f"camera {index} is of {camera.width}x{camera.height} pixels, its picture of {shape[2]}x{shape[1]}"
                 )
-        for name in ("images", "alphas", "weights"):
-            if name in parts and not (
-                np.isfinite(parts[name]).all() and parts[name].min() >= -1 and parts[name].max() <= 2
-            ):
-                raise InputError(f"{name} of a pose must be finite, in [0, 1]")
+        if shape is not None and 0 in shape:
+            raise InputError(f"pictures of a pose hold no pixels: they are {shape}")
+        for name, room in (("images", IMAGE_ROOM), ("alphas", ALPHA_ROOM), ("weights", ALPHA_ROOM)):
+            low, high = (parts[name].min(), parts[name].max()) if name in parts else (0, 1)
+            if not (-room <= low and high <= 1 + room):  # false for NaN too
+                hint = ": divide 8-bit ones by 255" if high > 2 else ""
+                raise InputError(f"{name} of a pose must be finite, in [0, 1], got {low:g} to {high:g}{hint}")
+        if "depths" in parts:
+            known = parts["depths"][np.isfinite(parts["depths"]) & (parts["depths"] != 0)]
+            if known.size and known.min() < 0:
+                raise InputError(f"depths of a pose must be distances, 0 or NaN where not known, got {known.min():g}")
+            if not known.size:
+                parts["depths"] = None
         if color is not None and "alphas" in parts and "images" in parts:
             shares = parts["alphas"][..., None]
             if _shows_more(parts["images"], parts["alphas"], color):
@@ -116,8 +133,9 @@ class PoseTargets:
         parts |= self._checked_points(count)
         if shape is None and "points" not in parts:
             raise InputError("a pose needs pictures, masks, depth or points to be fitted to")
-        if shape is not None and not {"images", "alphas", "depths"} & set(parts):
-            raise InputError("weights alone say nothing of a pose: give pictures, masks or depth")
+        if shape is not None and all(parts.get(name) is None for name in ("images", "alphas", "depths")):
+            what = "depths that are known nowhere" if "depths" in parts else "weights alone"
+            raise InputError(f"{what} say nothing of a pose: give pictures, masks or depth")
         if "weights" in parts and parts["weights"].max() <= 0:
             raise InputError("weights of a pose are 0 in all pixels: nothing is left to compare")
         for name, value in parts.items():
@@ -130,8 +148,12 @@ class PoseTargets:
                 raise InputError("positions and pixels of a pose need points, the same places at rest")
             return {}
         found = {"points": real_array(self.points, "points of a pose")}
+        if found["points"].ndim != 2:
+            raise InputError(f"points of a pose must be (p, 3), got {found['points'].shape}")
         number = len(found["points"])
         shapes = {"points": (number, 3), "positions": (number, 3), "pixels": (count, number, 2)}
+        if self.pixels is not None and not count:
+            raise InputError("pixels of a pose need cameras, one for each (p, 2) of them")
         for name in ("positions", "pixels"):
             if getattr(self, name) is not None:
                 found[name] = real_array(getattr(self, name), f"{name} of a pose")
@@ -142,6 +164,8 @@ class PoseTargets:
             raise InputError("points of a pose must be finite: they are places of the object at rest")
         if len(found) == 1:
             raise InputError("points of a pose need positions, or pixels of cameras")
+        if not any(np.isfinite(values).all(axis=-1).any() for name, values in found.items() if name != "points"):
+            raise InputError("positions and pixels of a pose are known for none of its points: all hold NaN")
         return found
 
     @classmethod
@@ -163,13 +187,16 @@ class PoseTargets:
         if isinstance(targets, cls):
             return targets
         if isinstance(targets, Scene):
-            if targets.has_sizes:
-                raise InputError("pictures of a pose must be of one size: load the scene with another downscale")
             scene = {"images": targets.images, "alphas": targets.alphas, "weights": targets.weights}
-            return cls(targets.cameras, **scene, background=None if targets.alphas is None else targets.background)
+            height, width = targets.images.shape[1:3]  # smaller pictures lie at the upper left, without weight beside
+            cameras = [dataclasses.replace(camera, width=width, height=height) for camera in targets.cameras]
+            return cls(cameras, **scene, background=None if targets.alphas is None else targets.background)
         if cameras is None:
-            raise InputError("arrays of pictures need cameras, one each")
-        return cls([cameras] if isinstance(cameras, Camera) else cameras, images=targets)
+            raise InputError(
+                "a pose is fitted to a Scene (load_scene reads one), to PoseTargets, or to arrays of pictures, which "
+                f"need cameras, one each: got {type(targets).__name__} without"
+            )
+        return cls(cameras, images=targets)
 
     @property
     def has_pictures(self) -> bool:
@@ -257,6 +284,8 @@ class PictureLoss:
             self.images = self.images - (1 - self.alphas[..., None]) * self.background
             self.background = np.zeros(3, np.float32)
         self._exposure, self._empty = exposure and self.images is not None, self.background
+        if self._exposure:
+            self._require_light()
         self._most = np.inf if hull is None else hull_pixels(self.cameras, hull)
         # what has a depth is covered: a pose may not leave it out
         alphas = ones if self.alphas is None and self.depths is not None else self.alphas
@@ -279,6 +308,16 @@ class PictureLoss:
         self._taps = wp.array(gaussian_taps(blur), dtype=wp.float32, device=self._device) if blur else None
         self._blurred_pictures = self._blurred(self._pictures)
 
+    def _require_light(self) -> None:
+        """Refuse pictures from which no exposure follows: one of 0 makes any frame like them."""
+        counted = self.weights > 0 if self.alphas is None else (self.weights > 0) & (self.alphas > 0.5)
+        brightest = np.where(counted, self.images.max(axis=-1), -np.inf).max(axis=(1, 2))
+        for number in np.flatnonzero((brightest < BLACK) & counted.any(axis=(1, 2))):
+            raise InputError(
+                f"picture {number} is black, and says nothing where exposures are found: leave it "
+                "out, or give its pixels weights of 0"
+            )
+
     def blurred(self, blur: float) -> PictureLoss:
         """The same pictures with another blur of differences, pixels."""
         other = copy.copy(self)
@@ -293,7 +332,7 @@ class PictureLoss:
     def frames(self, deformer: Any) -> dict[str, wp.array]:
         """The parts of the last pose's frames, (n * h * w,) each."""
         self._spare.keep(FRAME_BYTES * self._count)  # the host waits once an evaluation
-        arrays = deformer.render(self.cameras, background=self.background).arrays
+        arrays = deformer.render(self.cameras, background=self.background, supersampling=1).arrays
         found = {name: array_view(arrays[name], part_type(name), self._count) for name in PART_NAMES}
         if self._around is not None and self.images is not None:
             found["rgb"] = self._around.composed(pixels_of(found))
@@ -330,7 +369,7 @@ class PictureLoss:
         """Slopes (v,) by the posed cage's vertices, from those by the frames."""
         with deformer.lock:
             if isinstance(deformer.field, VoxelField):
-                options = RenderOptions(background=self.background)
+                options = RenderOptions(background=self.background, supersampling=1)
                 return voxel_gradient(deformer, self.cameras, slopes, options, by_vertices=True).vertices
             return views_gradient(deformer, self.cameras, slopes, self.background, by_vertices=True).vertices
 
@@ -382,6 +421,16 @@ class PictureLoss:
         roots = self._parts(self._names)
         self._weighed(self.frames(deformer), {}, roots)
         return np.concatenate([part.numpy().ravel() for part in roots.values()]).astype(np.float64)
+
+    def depth_off(self, deformer: Any) -> float:
+        """By how much depths of the last pose differ in the median, as a share of the size; 0 where there are none."""
+        if self.depths is None:
+            return 0.0
+        frames = self.frames(deformer)
+        alpha, depth = (frames[name].numpy().reshape(self.depths.shape) for name in ("alpha", "depth"))
+        compared = np.isfinite(self.depths) & np.isfinite(depth) & (alpha > 0.5) & (self.weights > 0)
+        off = np.abs(depth - self._behind - self.depths)[compared]
+        return float(np.median(off)) / self._unit if off.size else 0.0
 
     def shift(self, deformer: Any, center: np.ndarray) -> np.ndarray:
         """(3,) by which the last pose must move, so that silhouettes lie where the pictures have them."""

@@ -1,5 +1,8 @@
 """Poses found again: from silhouettes and depths of ellipsoids by formula, from ray cast pictures, from landmarks."""
 
+import dataclasses
+import warnings
+
 import numpy as np
 import pytest
 import warp as wp
@@ -10,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from warpcage import (
     Cage,
+    CageEdit,
     Camera,
     Cancelled,
     Deformer,
@@ -435,6 +439,17 @@ def test_what_is_no_target_is_refused():
         ({"points": points}, "points of a pose need positions, or pixels"),
         ({"points": points, "positions": points[:1]}, "positions of a pose must be (2, 3), got (1, 3)"),
         ({"points": points * np.nan, "positions": points}, "points of a pose must be finite"),
+        ({"points": points[0], "positions": points[0]}, "points of a pose must be (p, 3), got (3,)"),
+        ({"points": points, "positions": points * np.nan}, "known for none of its points"),
+        ({"points": points, "pixels": points[None, :, :2]}, "pixels of a pose need cameras"),
+        ({"cameras": np.eye(4), "images": image}, "cameras of a pose must be a list, got ndarray"),
+        ({"cameras": [np.eye(4)], "images": image}, "must each be a Camera, got ndarray"),
+        ({"cameras": seen * 2, "images": [image[0], image[0, :7]]}, "images of a pose must be real numbers"),
+        ({"images": image[:0]}, "hold no pixels"),
+        ({"cameras": seen, "images": image + 255.0}, "in [0, 1], got 255 to 255: divide 8-bit ones by 255"),
+        ({"cameras": seen, "images": image, "weights": image[..., 0] - 0.5}, "weights of a pose must be finite, in"),
+        ({"cameras": seen, "depths": image[..., 0] - 2}, "depths of a pose must be distances"),
+        ({"cameras": seen, "depths": image[..., 0] * np.nan}, "known nowhere"),
     ):
         refused(lambda arguments=arguments: PoseTargets(**arguments), message)
 
@@ -450,10 +465,84 @@ def test_what_cannot_be_fitted_is_refused():
         ({"start": Cage.box([0, 0, 0], [1, 1, 1])}, "8 vertices, the cage 26"),
         ({"restarts": -1}, "restarts"),
         ({"cameras": cameras(1)}, "PoseTargets has its own"),
+        ({"parameters": np.zeros((26, 2))}, "basis of zeros, which moves nothing"),
+        ({"start": [BOX]}, "the start of a fit must be a Cage or"),
     ):
         refused(lambda arguments=arguments: fit_pose(deformer, targets, **arguments), message)
-    refused(lambda: fit_pose(deformer, np.zeros((1, 8, 8, 3))), "arrays of pictures need cameras")
-    refused(lambda: fit_pose(Deformer(deformer.field, [BOX, BOX], resolution=16), targets), "one edit")
-    refused(lambda: fit_pose(BOX, targets), "fit_pose needs a Deformer", error=(TypeError, ValueError))
+    refused(lambda: fit_pose(deformer, np.zeros((1, 8, 8, 3))), "need cameras, one each: got ndarray")
+    refused(lambda: fit_pose(deformer, "bent"), "load_scene reads one", "got str")
+    for edits, what in (([BOX, BOX], "is of 2 edits"), ([CageEdit(BOX, remove=True)], "is of an edit that removes")):
+        refused(lambda edits=edits: fit_pose(Deformer(deformer.field, edits, resolution=16), targets), what)
+    refused(lambda: fit_pose(BOX, targets), "fit_pose needs a Deformer, got", error=(TypeError, ValueError))
     refused(lambda: fit_poses(deformer, [targets], times=[0, 1]), "times of poses must increase")
+    refused(lambda: fit_poses(deformer, [targets], times=[np.inf]), "times of poses must increase")
     refused(lambda: fit_poses(deformer, [targets, 3]), "moment 1")
+    refused(lambda: fit_poses(deformer, targets), "must be a list, one for each moment, got PoseTargets")
+    refused(lambda: fit_poses(deformer, [None]), "targets of some moment")
+    refused(lambda: fit_poses(deformer, [targets], uncertainty=True), "a sequence has no uncertainty")
+
+
+def test_what_no_picture_shows_is_refused(device):
+    """A cage behind the cameras, black pictures whose exposures are found, points beside the cage, and a falloff."""
+    deformer, seen = Deformer(ball_field(device), BOX, resolution=16), cameras(2, 8)
+    alphas, images = np.ones((2, 8, 8)), np.stack([np.full((8, 8, 3), 0.5), np.zeros((8, 8, 3))])
+    away = [dataclasses.replace(camera, camera_to_world=camera.camera_to_world @ BACK) for camera in seen]
+    refused(lambda: fit_pose(deformer, PoseTargets(away, alphas=alphas)), "no picture shows the cage where")
+    refused(lambda: fit_pose(deformer, images, cameras=seen, exposure=True), "picture 1 is black")
+    beside = PoseTargets(points=[[0, 0, 0], [9, 0, 0]], positions=np.zeros((2, 3)))
+    refused(lambda: fit_pose(deformer, beside), "point 1 of a pose lies outside of the cage")
+    half = CageEdit(Cage.box([-0.7, -0.5, -0.5], [0, 0.5, 0.5]), falloff=0.1)
+    torn = Deformer(deformer.field, half, resolution=16)
+    refused(lambda: fit_pose(torn, PoseTargets(seen, alphas=alphas)), "without falloff and fragments")
+
+
+BACK = np.diag([-1.0, 1.0, -1.0, 1.0])
+
+
+def test_what_does_not_match_is_said(device):
+    """Of cameras ten times as far away, of depths in millimetres, and of pictures that show nothing; not of what is
+    found."""
+    deformer, seen = Deformer(ball_field(device), BOX, resolution=16), cameras(2, 16)
+    shown = [seen_ellipsoid(camera, np.eye(3), 0) for camera in seen]
+    alphas, depths = np.stack([alpha for alpha, _ in shown]), np.stack([depth for _, depth in shown])
+    far = [dataclasses.replace(each, camera_to_world=each.camera_to_world * FURTHER) for each in seen]
+    for targets, message in (
+        (PoseTargets(far, alphas=alphas), "without the object: do the pictures show it"),
+        (PoseTargets(seen, alphas=alphas, depths=1000 * depths), "depths differ by .* times the cage's size"),
+        (PoseTargets(seen, alphas=0 * alphas), "do [a-z ]* show [a-z ]*, and are the cameras"),
+        (PoseTargets(seen, alphas=0 * alphas + 1), "where less than 0.02 is usual"),
+    ):
+        with pytest.warns(UserWarning, match=message):
+            fit_pose(deformer, targets, parameters="rigid", restarts=0)
+    with pytest.warns(UserWarning, match="moment 1: the pose that was found"):
+        fit_poses(deformer, [PoseTargets(seen, alphas=alphas), PoseTargets(far, alphas=alphas)], parameters="rigid")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit_pose(deformer, PoseTargets(seen, alphas=alphas, depths=depths), parameters="rigid", restarts=0)
+
+
+FURTHER = np.array([[1.0, 1.0, 1.0, 10.0]] * 3 + [[1.0] * 4])
+
+
+def test_pictures_of_several_sizes_of_a_field_of_four_rays_in_another_world(device):
+    """A scene whose second picture is smaller, in the world of its files; the field was turned, and takes four rays."""
+    field, seen, turn = ball_field(device), cameras(3, 24), np.eye(4)
+    turn[:3, :3] = Rotation.from_rotvec([0.3, 0.2, -0.4]).as_matrix()
+    field.straightening, field.supersampling, shift = turn, 2, np.array([0.08, -0.05, 0.06])
+    alphas = np.stack([seen_ellipsoid(camera, np.eye(3), shift)[0] for camera in seen])
+    weights = np.ones_like(alphas)
+    weights[1, 17:], alphas[1, 17:] = 0, 1  # beyond the picture
+    seen[1] = dataclasses.replace(seen[1], height=17)
+    moved = [camera.moved(np.linalg.inv(turn)) for camera in seen]
+    images = np.repeat(1 - alphas[..., None], 3, axis=3)
+    scene = Scene(images, alphas, moved, weights=weights)
+    assert scene.has_sizes
+    found = fit_pose(Deformer(field, BOX, resolution=16), scene, parameters="rigid", restarts=0)
+    assert error(found.cage, surface() + shift) < 0.02
+
+
+def test_a_moment_without_targets_gets_no_key(device):
+    deformer, points = Deformer(ball_field(device), BOX, resolution=16), surface(8)
+    moments = [PoseTargets(points=points, positions=points + [0.01 * k, 0, 0]) for k in range(3)]
+    poses = fit_poses(deformer, [moments[0], None, moments[2]], times=[0.0, 0.1, 0.3], parameters="rigid")
+    assert poses.names == ("0000", "0002") and poses.times == {"0000": 0.0, "0002": 0.3}

@@ -101,14 +101,15 @@ def test_photographs_with_masks_are_cut_out():
 
 
 def test_pixels_of_a_hull():
-    """Of a square before a camera by hand, cut off by the picture's side, and behind the camera."""
+    """Of a square before a camera by hand, cut off by the picture's side, behind the camera, and partly so."""
     camera = turntable((0, 0, 0), 2.0, 0, 1, width=40, height=40, fov_degrees=90)[0]
     across, up = camera.rotation[:, 0], camera.rotation[:, 1]
     square = np.array([a * across + b * up for a in (-0.5, 0.5) for b in (-0.5, 0.5)])
     assert hull_pixels([camera], square) == pytest.approx(10 * 10, rel=1e-3)
     assert hull_pixels([camera, camera], square + 2 * across) == pytest.approx(2 * 5 * 10, rel=1e-3)
     assert hull_pixels([camera], square + 5 * across) == 0
-    assert hull_pixels([camera], square + 3 * camera.center) == 1600
+    assert hull_pixels([camera], square + 3 * camera.center) == 0
+    assert hull_pixels([camera], np.concatenate([square, square + 3 * camera.center])) == 1600
 
 
 def table_field(device):

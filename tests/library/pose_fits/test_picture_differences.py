@@ -89,7 +89,7 @@ def test_differences_are_roots_of_the_loss(device):
     frames, targets = random_parts(0, np.inf), random_parts(0, np.inf)
     arrays = {"rgb": frames["rgb"] + np.float32(1e-3), "alpha": frames["alpha"], "depth": frames["depth"]}
     drawn = SimpleNamespace(arrays={name: on_device(name, part, device) for name, part in arrays.items()})
-    deformer = SimpleNamespace(render=lambda cameras, background: drawn)
+    deformer = SimpleNamespace(render=lambda cameras, **_: drawn)
     given = PoseTargets(CAMERAS, images=targets["rgb"], alphas=targets["alpha"])
     loss = PictureLoss(given, WIDTH, 0.7, UNIT, wp.get_device(device))
     off = loss.differences(deformer)
