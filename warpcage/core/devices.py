@@ -98,10 +98,11 @@ def captured(device: wp.Device, **options: Any) -> Iterator[wp.ScopedCapture]:
 
 
 class RecordedLaunch:
-    """A kernel that frames launch one after the other with mostly the same arguments; on a CPU it is `launch`."""
+    """A kernel that frames launch one after the other with mostly the same arguments; on a CPU it is `launch`, but for
+    short launches on one thread."""
 
-    # To pack all arguments takes the host several times as long as the launch. So CUDA launches are recorded: later
-    # ones set what became other objects (structs may change inside). Arguments stay alive, but for those said to pass.
+    # To pack all arguments takes the host several times as long as the launch. So launches are recorded: later ones
+    # set what became other objects (structs may change inside). Arguments stay alive, but for those said to pass.
 
     def __init__(self, kernel: Kernel, device: wp.DeviceLike):
         self.kernel, self._device = kernel, wp.get_device(device)
@@ -119,7 +120,7 @@ class RecordedLaunch:
         work: float = DEFAULT_WORK,
     ) -> None:
         """Launch it; the last `transient` arguments are not kept alive: what one frame alone has."""
-        if self._device.is_cpu:
+        if self._device.is_cpu and (threads != 1 or count * work > FIRST_WORK):
             launch(self.kernel, count, inputs, outputs, device=self._device, threads=threads, work=work)
         elif count > 0:
             with device_turn(self._device):
