@@ -7,7 +7,7 @@
 import warp as wp
 
 from ..core.gradients import forward_only_in
-from .shell import DistanceGrid, grid_distance, grid_place, sample_place, samples_clear, slope_direction
+from .shell import DistanceGrid, grid_distance, grid_place, sample_place, slope_direction
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fuse_fp": False})
 
@@ -56,17 +56,22 @@ def measure_contacts(
     blind: wp.float64,
     softness: wp.float64,
     grid: DistanceGrid,
+    starts: wp.array(dtype=int),
     touched: wp.array(dtype=wp.vec3d),
+    travels: wp.array(dtype=wp.float64),
+    rooms: wp.array(dtype=wp.float32),
     shortest: wp.array(dtype=wp.float64),
     areas: wp.array(dtype=wp.float64),
     moves: wp.array(dtype=wp.vec3d),
     weights: wp.array(dtype=wp.float64),
     slopes: wp.array(dtype=wp.vec3d),
 ):
-    """How far (f,) faces, cut in pieces (f,), are short of levels (f,) at most, negative or 0 where they are not; their
+    """How far (f,) faces, cut in pieces (f,), are short of levels (f,) at most, 0 or less where they are not; their
     areas (f,); at their corners (3 f,) moves by weights that bring the samples there, and slopes of volume and load."""
-    # Faces whose corners are where they were touched before (v,) keep what was found. Load: area * mean (shortfall^2) /
-    # (2 softness), over the samples that are short.
+    # Load: area * mean (shortfall^2) / (2 softness), over the samples that are short. Faces whose corners are where
+    # they were touched before (v,) keep what was found; others leave out samples that cannot have become short. travels
+    # (f,): how much nearer any of their samples may have come since all were measured, negative before that. rooms,
+    # from starts (f,) on: row by row its least one, then those of its samples: how far off the level, on top of travels
     f = first + wp.tid()
     face = faces[f]
     a = vertices[face[0]]
@@ -76,8 +81,15 @@ def measure_contacts(
     normal = unit(cross)
     whole = pieces[f]
     level = levels[f]
-    if a == touched[face[0]] and b == touched[face[1]] and c == touched[face[2]]:
+    far_a = wp.length(a - touched[face[0]])
+    far_b = wp.length(b - touched[face[1]])
+    far_c = wp.length(c - touched[face[2]])
+    if far_a == ZERO and far_b == ZERO and far_c == ZERO:
         return  # all is as it was found there
+    travel = wp.float64(0.0)
+    if travels[f] >= ZERO:
+        travel = travels[f] + STEEPEST * wp.max(wp.max(far_a, far_b), far_c)
+    travels[f] = travel
     along = STEEPEST * wp.length(c - a) / wp.float64(whole)
     at_a = grid_place(grid, a)
     at_b = grid_place(grid, b)
@@ -87,26 +99,43 @@ def measure_contacts(
     move = wp.matrix(shape=(3, 3), dtype=wp.float64)
     load = wp.matrix(shape=(3, 3), dtype=wp.float64)
     weight = wp.vec3d()
+    row = starts[f]
     for i in range(whole + 1):
-        j = int(0)
-        while j <= whole - i:
-            x = sample_place(at_a, at_b, at_c, whole, i, j)
-            distance = grid_distance(grid, x)
-            short = level - distance
-            worst = wp.max(worst, short)
-            if short > ZERO:
-                away = short * way_out(grid, x, distance, blind, normal)
-                w = wp.vec3d(wp.float64(whole - i - j), wp.float64(i), wp.float64(j)) / wp.float64(whole)
-                # the corners that carry a sample share its move so that the sample itself makes all of it (least
-                # squares); samples far too near count for more than those nearly clear
-                urgent = short * w
-                move += wp.outer(wp.cw_mul(urgent, w) / wp.dot(w, w), away)
-                load += wp.outer(w, away)
-                weight += urgent
-                count += 1
+        last = whole - i
+        least = wp.float64(rooms[row]) - travel
+        if least <= ZERO:
+            least = wp.float64(1.0e30)
+            j = int(0)
+            while j <= last:
+                n = row + 1 + j
+                room = wp.float64(rooms[n]) - travel
                 j += 1
-            else:
-                j += 1 + samples_clear(-short, along, whole)
+                if room <= ZERO:
+                    x = sample_place(at_a, at_b, at_c, whole, i, j - 1)
+                    distance = grid_distance(grid, x)
+                    room = distance - level
+                    rooms[n] = wp.float32(travel + room)
+                    if room < ZERO:
+                        away = -room * way_out(grid, x, distance, blind, normal)
+                        w = wp.vec3d(wp.float64(last + 1 - j), wp.float64(i), wp.float64(j - 1)) / wp.float64(whole)
+                        # the corners that carry a sample share its move so that the sample itself makes all of it
+                        # (least squares); samples far too near count for more than those nearly clear
+                        urgent = -room * w
+                        move += wp.outer(wp.cw_mul(urgent, w) / wp.dot(w, w), away)
+                        load += wp.outer(w, away)
+                        weight += urgent
+                        count += 1
+                    else:
+                        # those after it that cannot be below the level
+                        while j <= last and room > along:
+                            n += 1
+                            j += 1
+                            room -= along
+                            rooms[n] = wp.float32(travel + room)
+                least = wp.min(least, room)
+            rooms[row] = wp.float32(travel + least)
+        worst = wp.max(worst, -least)
+        row += last + 2
     # the samples that carry a face share its area, were it one only
     area = HALF * wp.length(cross)
     scale = area / (softness * wp.float64(wp.max(count, 1)))

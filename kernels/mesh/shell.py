@@ -23,6 +23,9 @@ HALF = wp.constant(wp.float64(0.5))
 ONE = wp.constant(wp.float64(1.0))
 ZERO = wp.constant(wp.float64(0.0))
 
+#: Share of a bound that rounding to float32 leaves.
+BELOW = wp.constant(wp.float64(1.0 - 1.0e-6))
+
 #: Length of a slope below which it has no direction.
 FLAT = wp.constant(1.0e-6)
 TINY = wp.constant(wp.float64(1.0e-300))
@@ -143,6 +146,33 @@ def look_up_faces(
             s += 1
 
 
+@wp.func
+def bound_squared(values: wp.array(dtype=wp.float32), n: int, bounds: wp.vec3d):
+    """Square of a lower bound of the distance at a node, as in `least_distance`."""
+    value = wp.float64(values[n])
+    if value < bounds[0]:
+        return ZERO
+    value = wp.min(value, bounds[1]) + bounds[2]
+    return value * value
+
+
+@wp.func
+def least_distance(grid: DistanceGrid, place: wp.vec3d, bounds: wp.vec3d):
+    """A distance that none from a place to the points is below. bounds: the grid's values are at most distances to the
+    points from the first one on; beyond the second one distances may be as short as that; what they lack, all alike."""
+    # A squared distance less |x|^2 is the least of many linear functions, so it is concave: between nodes it is no less
+    # than what is interpolated. Of |x|^2 the interpolated value is more by the sum of share (1 - share) along the axes.
+    n, x, y, z, share = grid_cell(grid.shape, place)
+    values = grid.distances
+    a = wp.lerp(bound_squared(values, n, bounds), bound_squared(values, n + z, bounds), share[2])
+    b = wp.lerp(bound_squared(values, n + y, bounds), bound_squared(values, n + y + z, bounds), share[2])
+    c = wp.lerp(bound_squared(values, n + x, bounds), bound_squared(values, n + x + z, bounds), share[2])
+    d = wp.lerp(bound_squared(values, n + x + y, bounds), bound_squared(values, n + x + y + z, bounds), share[2])
+    squared = wp.lerp(wp.lerp(a, b, share[1]), wp.lerp(c, d, share[1]), share[0])
+    squared -= grid.spacing * grid.spacing * (wp.dot(share, wp.vec3d(ONE, ONE, ONE) - share))
+    return wp.sqrt(wp.max(squared, ZERO)) * BELOW - bounds[2]
+
+
 @wp.kernel
 def list_near_samples(
     first: int,
@@ -150,14 +180,16 @@ def list_near_samples(
     faces: wp.array(dtype=wp.vec3i),
     pieces: wp.array(dtype=int),
     levels: wp.array(dtype=wp.float64),
+    error: wp.float64,
+    bounds: wp.vec3d,
     grid: DistanceGrid,
     starts: wp.array(dtype=int),
     counts: wp.array(dtype=int),
     places: wp.array(dtype=wp.vec3d),
     distances: wp.array(dtype=wp.float64),
 ):
-    """How many samples (f,) of faces (f,), cut in pieces (f,), are nearer than levels (f,); their places and distances
-    from starts (f,) on, as far as there is room for them."""
+    """How many samples (f,) of faces (f,), cut in pieces (f,), may be nearer than levels (f,); their places and
+    distances, which err by less than `error`, from starts (f,) on. bounds: as in `least_distance`."""
     # a distance grows by no more than one's way: samples of a row are left out that cannot be near
     f = first + wp.tid()
     face = faces[f]
@@ -165,21 +197,21 @@ def list_near_samples(
     b = grid_place(grid, vertices[face[1]])
     c = grid_place(grid, vertices[face[2]])
     along = grid.spacing * wp.length(c - a) / wp.float64(pieces[f])
+    far = levels[f] + error
     count = int(0)
     for i in range(pieces[f] + 1):
         j = int(0)
         while j <= pieces[f] - i:
             x = sample_place(a, b, c, pieces[f], i, j)
             distance = grid_distance(grid, x)
-            if distance < levels[f]:
-                place = starts[f] + count
-                if place < places.shape[0]:
-                    places[place] = grid.lower + grid.spacing * x
-                    distances[place] = distance
-                count += 1
-                j += 1
+            if distance >= far:
+                j += 1 + samples_clear(distance - far, along, pieces[f])
             else:
-                j += 1 + samples_clear(distance - levels[f], along, pieces[f])
+                if least_distance(grid, x, bounds) <= levels[f]:
+                    places[starts[f] + count] = grid.lower + grid.spacing * x
+                    distances[starts[f] + count] = distance
+                    count += 1
+                j += 1
     counts[f] = count
 
 
@@ -258,7 +290,7 @@ def measure_nearest(
     first: int,
     x: wp.array(dtype=wp.vec3d),
     about: wp.array(dtype=wp.float64),
-    most: wp.float64,
+    most: wp.array(dtype=wp.float64),
     points: wp.array(dtype=wp.vec3d),
     starts: wp.array(dtype=int),
     shape: wp.vec3i,
@@ -266,13 +298,13 @@ def measure_nearest(
     spacing: wp.float64,
     distance: wp.array(dtype=wp.float64),
 ):
-    """Distance (n,) from x (n,) to the nearest of the points, of which there is at least one; `most` if it is more.
+    """Distance (n,) from x (n,) to the nearest of the points, of which there is at least one; most (n,) if it is more.
     about (n,): radius greater than 0 in which the search begins; it grows until there is one within it."""
     n = first + wp.tid()
-    limit = wp.min(about[n], most)
+    limit = wp.min(about[n], most[n])
     best = least_squared(x[n], limit, points, starts, shape, lower, spacing)
-    while best >= limit * limit and limit < most:
-        limit = wp.min(limit * GROWTH, most)
+    while best >= limit * limit and limit < most[n]:
+        limit = wp.min(limit * GROWTH, most[n])
         best = least_squared(x[n], limit, points, starts, shape, lower, spacing)
     distance[n] = wp.sqrt(best)
 

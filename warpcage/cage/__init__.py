@@ -6,6 +6,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "check": "check_pose grid_points",
+        "generate": "surface_points",
         "generate.decimate": "EdgeCollapses progressive_hull",
         "generate.distance": "NearestInTree NearestInVoxels ObjectShell ObjectVoxels distance_to",
         "generate.fit": "HeldFaces face_samples",

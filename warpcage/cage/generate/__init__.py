@@ -94,6 +94,9 @@ def _sideways_normals(cage: ClosedMesh, normal: np.ndarray) -> np.ndarray:
 
 _MIN_COUNT, _MAX_COUNT = 8, 2000
 
+#: Times more rows than points in a row of a face that is narrow; spacings that points of a row are apart there.
+_NARROW, _ACROSS = 16, 0.15
+
 #: Where the vertices of a cage lie: evenly, or as the parts of the object need them.
 DETAILS = ("even", "parts")
 
@@ -107,15 +110,31 @@ def voxel_spacing(extent, vertex_count) -> float:
 
 
 def surface_points(vertices, faces, spacing) -> np.ndarray:
-    """Points on faces no more than `spacing` from their neighbours: a regular grid on each, its corners left out."""
+    """Points on faces, so that none of a face is farther off them than spacing / sqrt(3): a regular grid on each, its
+    corners left out, or rows of few points across narrow ones."""
     corners = vertices[faces]
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    pieces = np.maximum(np.ceil(longest / spacing).astype(np.int64), 1)
-    found = []
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)  # the one of k ends at corner k
+    pieces = np.maximum(np.ceil(sides.max(axis=1) / spacing).astype(np.int64), 1)
+    # along a narrow face half a piece is off a row at most, across it half of the rest of 0.577
+    across = np.ceil(sides.min(axis=1) / (_ACROSS * spacing)).astype(np.int64)
+    narrow, found = _NARROW * (across + 1) < pieces, []
+    for count, cuts in np.unique(np.stack([pieces, across], axis=1)[narrow], axis=0).tolist():
+        chosen = np.flatnonzero(narrow & (pieces == count) & (across == cuts))
+        found.append(_row_points(corners[chosen], sides[chosen].argmin(axis=1), count, cuts))
+    pieces[narrow] = 1
     for count in np.unique(pieces[pieces > 1]):
         samples, weights = face_samples(vertices, faces[pieces == count], int(count))
         found.append(samples[:, weights.max(axis=1) < 1.0].reshape(-1, 3))
     return np.concatenate(found) if found else np.zeros((0, 3))
+
+
+def _row_points(corners, short, pieces: int, across: int) -> np.ndarray:
+    """Points of faces (f, 3, 3) in rows along the shortest side of each, which ends at corner short (f,): so many rows
+    from the corner across on, each cut in so many pieces."""
+    top, begin, end = np.moveaxis(np.take_along_axis(corners, ((short[:, None] + [1, 2, 0]) % 3)[:, :, None], 1), 1, 0)
+    rows = begin[:, None] + np.linspace(0.0, 1.0, across + 1)[:, None] * (end - begin)[:, None]
+    along = (np.arange(1, pieces + 1) / pieces)[:, None, None]
+    return (top[:, None, None] + along * (rows - top[:, None])[:, None]).reshape(-1, 3)
 
 
 def checked_count(vertex_count, name: str = "vertex_count") -> int:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -13,6 +15,9 @@ from ...kernels.mesh.shell import DistanceGrid, list_near_samples, look_up_direc
 
 #: Steps of a look-up, and of a search for the nearest point, as `launch` counts them.
 _LOOK_UP_WORK, _SEARCH_WORK = 1, 128
+
+#: Voxels by which interpolated distances err at most.
+_ERROR = 0.5
 
 #: How much farther than asked for is searched, so that rounding leaves what is given for the rest above it.
 _BEYOND = 1.0 + 1e-9
@@ -34,6 +39,7 @@ class ObjectVoxels:
         import scipy.ndimage
 
         self.points, self.spacing, self.need = points, float(spacing), float(need)
+        self._widest = 0, np.zeros((0, 0, 0), np.float32)  # distances between voxels' middles, and to which radius
         # centre of voxel 0; the object's bounds, and points a voxel apart from there on, lie in the middle of voxels,
         # where last digits do not decide which voxel is theirs
         self.bounds = bounds_of(points)
@@ -59,7 +65,7 @@ class ObjectVoxels:
     def _about_need(self, deep) -> tuple[np.ndarray, np.ndarray]:
         """Nodes (n, 3) about `need` and their distances (n,)."""
         radius = int(np.ceil(self.need / self.spacing + _EXACT + _MIXED)) + 2
-        distance = distance_to(np.pad(self.solid, radius), radius).astype(np.float64) * self.spacing
+        distance = self._of_middles(radius)
         far = np.clip(np.abs(distance - self.need) / self.spacing - _EXACT, 0.0, _MIXED) / _MIXED
         nodes = np.argwhere((far < 1.0) & ~np.pad(deep, radius))
         far, found = far[tuple(nodes.T)], distance[tuple(nodes.T)]
@@ -68,15 +74,36 @@ class ObjectVoxels:
         exact = self.exact_distance(self.lower + nodes * self.spacing, found + np.sqrt(0.76) * self.spacing)
         return nodes, (1.0 - far) * exact + far * np.minimum(found, exact)
 
+    @property
+    def certain(self) -> wp.vec3d:
+        """From which distance on nodes are as far off the points as `distances` says or farther, up to which one, and
+        how much farther all of them are."""
+        # beyond the nodes about `need` a distance to the middles of voxels may be half a diagonal too long
+        room = (_EXACT + _MIXED - np.sqrt(0.75)) * self.spacing
+        return wp.vec3d(self.need - room, self.need + room, self._coarse)
+
     def distances(self, radius: int) -> np.ndarray:
         """From the middle of each voxel to the nearest point, `radius` voxels beyond the solid: exact near `need`,
         between voxels' middles elsewhere, 0 deep inside."""
-        distance = distance_to(np.pad(self.solid, radius), radius).astype(np.float64) * self.spacing
+        distance = self._of_middles(radius)
         nodes, exact = self._band
         distance[tuple((nodes + radius).T)] = exact
         return distance
 
-    def exact_distance(self, x: np.ndarray, about: np.ndarray, most: float = math.inf) -> np.ndarray:
+    def _of_middles(self, radius: int) -> np.ndarray:
+        """From the middle of each voxel to the nearest one of the solid, at most `radius` voxels and so far beyond."""
+        widest, distance = self._widest
+        if radius > widest:
+            self._widest = widest, distance = radius, distance_to(np.pad(self.solid, radius), radius)
+        inner = distance[tuple(slice(widest - radius, size + radius - widest) for size in distance.shape)]
+        return np.minimum(inner, radius).astype(np.float64) * self.spacing
+
+    @functools.cached_property
+    def narrow_shell(self) -> ObjectShell:
+        """The shell that closes least."""
+        return ObjectShell(self, self.need + 2.0 * self.spacing)
+
+    def exact_distance(self, x: np.ndarray, about: np.ndarray, most: np.ndarray | float = math.inf) -> np.ndarray:
         """(n,) distance from x (n, 3) to the object's skin, up to 1.8 voxels less where `need` is more than six voxels.
         `about` (n,): how far it likely is at most; beyond `most` any larger number may come. Both only save time."""
         about, beyond = np.maximum(about, 0.5 * self.spacing), (most + self._coarse) * _BEYOND
@@ -103,7 +130,6 @@ class ObjectShell:
     In a grid that reaches so far beyond them."""
 
     def __init__(self, voxels: ObjectVoxels, reach: float):
-        import skimage.filters
         import skimage.measure
 
         self.voxels, self.spacing, self.reach = voxels, voxels.spacing, float(reach)
@@ -117,12 +143,25 @@ class ObjectShell:
         inward = distance_to(outside, radius) * self.spacing - np.sqrt(0.75) * self.spacing
         # signed distance to the object closed by a ball of radius `reach` (Serra 1982), never above `distance`
         self.closed = np.where(outside, self.distance, np.minimum(self.distance, reach - inward)).astype(np.float64)
-        self.smooth = skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)  # surface and slopes
-        self.grid = DistanceGrid()
-        slopes = np.stack(list(np.gradient(self.smooth, self.spacing)), axis=-1).astype(np.float32)
-        self.grid.distances = on_cpu(self.closed.astype(np.float32).reshape(-1), wp.float32)
-        self.grid.slopes, self.grid.shape = on_cpu(slopes.reshape(-1, 3), wp.vec3), wp.vec3i(*slopes.shape[:3])
-        self.grid.lower, self.grid.spacing = wp.vec3d(*self.lower), wp.float64(self.spacing)
+
+    @functools.cached_property
+    def smooth(self) -> np.ndarray:
+        """`closed`, smoothed over a voxel: for surfaces and slopes."""
+        import skimage.filters
+
+        return skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)
+
+    @functools.cached_property
+    def grid(self) -> Any:
+        """What kernels look up, a DistanceGrid."""
+        grid = DistanceGrid()
+        slopes = np.empty((*self.smooth.shape, 3), dtype=np.float32)
+        for axis in range(3):
+            slopes[..., axis] = np.gradient(self.smooth, self.spacing, axis=axis)
+        grid.distances = on_cpu(self.closed.astype(np.float32).reshape(-1), wp.float32)
+        grid.slopes, grid.shape = on_cpu(slopes.reshape(-1, 3), wp.vec3), wp.vec3i(*slopes.shape[:3])
+        grid.lower, grid.spacing = wp.vec3d(*self.lower), wp.float64(self.spacing)
+        return grid
 
     def surface(
         self, level: float, step: int = 1, plane: tuple[int, float] | None = None
@@ -153,17 +192,18 @@ class ObjectShell:
         return found
 
     def near_samples(self, vertices, faces, pieces, levels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Samples of faces (f, 3), cut in pieces (f,), where `closed` is below levels (f,): how many of each face (f,),
-        their places (n, 3) and distances (n,), face after face."""
+        """Samples of faces (f, 3), cut in pieces (f,), that may be nearer to the object than levels (f,): how many of
+        each face (f,), their places (n, 3) and about how far they are off (n,), face after face."""
+        held = (pieces + 1) * (pieces + 2) // 2
+        starts, counts = np.cumsum(held, dtype=np.int32) - held.astype(np.int32), np.zeros(len(faces), np.int32)
+        places, distances = np.empty((held.sum(), 3)), np.empty(held.sum())  # of which few are written
         inputs = [on_cpu(vertices, wp.vec3d), on_cpu(faces.astype(np.int32), wp.vec3i), on_cpu(pieces, wp.int32)]
-        inputs += [on_cpu(levels, wp.float64), self.grid]
-        counts, places, distances = np.zeros(len(faces), np.int32), np.empty((0, 3)), np.empty(0)
-        for _ in range(2):  # counted first
-            starts = (np.cumsum(counts) - counts).astype(np.int32)
-            places, distances = np.empty((counts.sum(), 3)), np.empty(counts.sum())
-            outputs = [on_cpu(counts, wp.int32), on_cpu(places, wp.vec3d), on_cpu(distances, wp.float64)]
-            launch(list_near_samples, len(faces), [*inputs, on_cpu(starts, wp.int32)], outputs, device="cpu", work=256)
-        return counts, places, distances
+        inputs += [on_cpu(levels, wp.float64), wp.float64(_ERROR * self.spacing), self.voxels.certain]
+        inputs += [self.grid, on_cpu(starts, wp.int32)]
+        outputs = [on_cpu(counts, wp.int32), on_cpu(places, wp.vec3d), on_cpu(distances, wp.float64)]
+        launch(list_near_samples, len(faces), inputs, outputs, device="cpu", work=256)
+        listed = np.arange(counts.sum()) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
+        return counts, places[listed], distances[listed]
 
     def outward(self, x: np.ndarray) -> np.ndarray:
         """Unit directions (n, 3) in which `closed` grows fastest at x (n, 3); zero where it is flat."""
@@ -188,11 +228,11 @@ class NearestInVoxels:
             wp.float64(spacing),
         ]
 
-    def distance(self, x: np.ndarray, about: np.ndarray, most: float = math.inf) -> np.ndarray:
+    def distance(self, x: np.ndarray, about: np.ndarray, most: np.ndarray | float = math.inf) -> np.ndarray:
         """(n,) distance from x (n, 3) to the nearest point, to the same bits as SciPy's KDTree; about (n,) > 0: where
-        the search begins; most > 0: where it ends."""
-        found = np.empty(len(x))
-        inputs = [on_cpu(x, wp.vec3d), on_cpu(about, wp.float64), wp.float64(most), *self._inputs]
+        the search begins; most, for all or (n,), > 0: where it ends."""
+        found, most = np.empty(len(x)), np.broadcast_to(most, len(x))
+        inputs = [on_cpu(x, wp.vec3d), on_cpu(about, wp.float64), on_cpu(most, wp.float64), *self._inputs]
         launch(measure_nearest, len(x), inputs, [on_cpu(found, wp.float64)], device="cpu", work=_SEARCH_WORK)
         return found
 
@@ -206,9 +246,9 @@ class NearestInTree:
         # large leaves and no balancing: built in half the time and searched in less, for the same distances
         self._tree = scipy.spatial.KDTree(points, leafsize=32, balanced_tree=False)
 
-    def distance(self, x: np.ndarray, about: np.ndarray, most: float = math.inf) -> np.ndarray:
-        """(n,) distance from x (n, 3) to the nearest point; infinite where it is more than `most`."""
-        return self._tree.query(x, distance_upper_bound=most, workers=cpu_threads())[0]
+    def distance(self, x: np.ndarray, about: np.ndarray, most: np.ndarray | float = math.inf) -> np.ndarray:
+        """(n,) distance from x (n, 3) to the nearest point; infinite where it is more than all of `most`."""
+        return self._tree.query(x, distance_upper_bound=np.max(most, initial=0.0), workers=cpu_threads())[0]
 
 
 def bounds_of(points: np.ndarray) -> np.ndarray:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ...core.devices import launch
+from ...core.devices import RecordedLaunches
 from ...kernels.mesh.contacts import MEAN_DECAY, SQUARE_DECAY, descend, measure_contacts, push_vertices, smooth_vertices
 from ...mesh.mesh import ClosedMesh
 from .decimate import corner_rings
@@ -61,15 +62,17 @@ _LIFT = 0.03
 #: Share of `need` below which the distance's slope is no guide to where out is: the object all but touches the face.
 _BLIND = 0.5
 
-#: Steps of a face's samples, and of what lies around a vertex, as `launch` counts them.
-_FACE_WORK, _VERTEX_WORK = 100, 4
+#: Steps of a face's samples, and of what lies around a vertex, as `launch` counts them; and most faces that one thread
+#: looks at: others would begin as it ends.
+_FACE_WORK, _VERTEX_WORK, _FEW_FACES = 100, 4, 2048
 
 
 class HeldFaces:
     """Faces (f, 3) of a closed mesh about an object's shell, whose vertices (v, 3) are pushed, drawn and smoothed."""
 
     def __init__(self, shell, vertices, faces, need, mirror=None):
-        self.shell, self.faces, self._mirror = shell, faces, mirror
+        self.shell, self.faces, self._mirror, self._launch = shell, faces, mirror, RecordedLaunches("cpu")
+        self._threads = 1 if len(faces) <= _FEW_FACES else None
         self.vertices, self._next = np.array(vertices, dtype=np.float64), np.empty(vertices.shape)
         self._places, self._next_places = (on_cpu(each, wp.vec3d) for each in (self.vertices, self._next))
         self._rings = [on_cpu(part, wp.int32) for part in corner_rings(faces, len(vertices))]
@@ -86,14 +89,18 @@ class HeldFaces:
 
     def ask(self, pieces, levels, softness: float = 1.0) -> None:
         """Faces are cut in pieces (f,) and kept off at levels (f,)."""
-        sampled = [on_cpu(pieces, wp.int32), on_cpu(levels, wp.float64), self._blind, wp.float64(softness)]
-        self._sampled = [*sampled, self.shell.grid, on_cpu(self._touched, wp.vec3d)]
+        counts = (pieces + 1) * (pieces + 4) // 2  # of rows and samples
         self._touched[:] = np.nan  # nowhere yet
+        held = [on_cpu((np.cumsum(counts) - counts).astype(np.int32), wp.int32), on_cpu(self._touched, wp.vec3d)]
+        held += [on_cpu(np.full(len(pieces), -1.0), wp.float64), on_cpu(np.zeros(counts.sum(), np.float32), wp.float32)]
+        sampled = [on_cpu(pieces, wp.int32), on_cpu(levels, wp.float64), self._blind, wp.float64(softness)]
+        self._sampled = [*sampled, self.shell.grid, *held]
 
     def touch(self) -> float:
         """How far faces are short of the levels asked for at most; what that asks of the vertices is kept."""
         inputs = [self._places, self._triangles, *self._sampled]
-        launch(measure_contacts, len(self.faces), inputs, self._found, device="cpu", work=_FACE_WORK)
+        options: dict[str, Any] = {"threads": self._threads, "work": _FACE_WORK}
+        self._launch(measure_contacts, len(self.faces), inputs, self._found, **options)
         self._touched[:] = self.vertices
         return float(self._shortest.max())
 
@@ -147,7 +154,8 @@ class HeldFaces:
             self.vertices[:] = self._mirror(self.vertices)
 
     def _move(self, kernel, inputs) -> None:
-        launch(kernel, len(self.vertices), inputs, [self._next_places], device="cpu", work=_VERTEX_WORK)
+        options: dict[str, Any] = {"threads": self._threads, "work": _VERTEX_WORK}
+        self._launch(kernel, len(self.vertices), inputs, [self._next_places], **options)
         self.vertices, self._next = self._next, self.vertices
         self._places, self._next_places = self._next_places, self._places
 
@@ -219,10 +227,9 @@ def cleared(
 def shortfall(shell, vertices, faces, need) -> np.ndarray:
     """(f,) how much too near each face is, at its samples, to the object's points for keeping `need`; at least 0."""
     pieces, levels = sampling(vertices, faces, shell.spacing, need)
-    # interpolated distances err by less than half a voxel
-    counts, samples, distance = shell.near_samples(vertices, faces, pieces, levels + 0.5 * shell.spacing)
-    exact = shell.voxels.exact_distance(samples, distance + shell.spacing, levels.max(initial=0.0))
+    counts, samples, distance = shell.near_samples(vertices, faces, pieces, levels)
     short, f = np.zeros(len(faces)), np.repeat(np.arange(len(faces)), counts)
+    exact = shell.voxels.exact_distance(samples, distance + shell.spacing, levels[f])
     np.maximum.at(short, f, levels[f] - exact)
     return short
 

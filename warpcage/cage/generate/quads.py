@@ -52,7 +52,7 @@ def quad_cage(voxels: ObjectVoxels, cage: ClosedMesh, plane: tuple[int, float] |
     little. plane: axis and place of a mirror plane of the cage."""
     mirror = None if plane is None else Mirror.of(cage.vertices, plane)
     # a wider shell would fill the gaps between parts, and their walls would be pushed out of what is filled
-    shell = ObjectShell(voxels, voxels.need + 2.0 * voxels.spacing)
+    shell = voxels.narrow_shell
     side = float(np.linalg.norm(np.diff(cage.vertices[cage.edges], axis=1), axis=2).mean())
 
     def pushed(quads: np.ndarray) -> np.ndarray:

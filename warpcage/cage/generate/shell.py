@@ -94,7 +94,7 @@ def shell_cage(
     edge = edge_length(*shell.surface(max(need, _MIN_LEVEL * spacing)), vertex_count)
     closings, apart, reasons, finest = CLOSINGS, detail == "parts", [], None
     if apart:
-        closings, finest = PART_CLOSINGS, ObjectShell(voxels, need + 2.0 * spacing)
+        closings, finest = PART_CLOSINGS, voxels.narrow_shell
         sizing = part_sizing(finest, max(need, _MIN_LEVEL * spacing), sizing)
         sizing = symmetric_sizing(sizing, plane) if plane else sizing
     for fine, last in _ATTEMPTS:
@@ -152,8 +152,13 @@ def say_closed(finest: ObjectShell, shell: ObjectShell, cage: ClosedMesh, progre
     before, after, lost = ClosedMesh(*finest.surface(level)).topology, cage.topology, []
     # what is free before and filled now, over what there is
     free = np.argwhere(finest.closed > level)
-    places = (finest.lower + free * unit - shell.lower) / shell.spacing
-    filled = scipy.ndimage.map_coordinates(shell.closed, places.T, order=1, mode="nearest") <= 0.5 * need
+    places = ((finest.lower + free * unit - shell.lower) / shell.spacing).T
+    # of cells with a corner that is filled: most are far outside
+    around = scipy.ndimage.minimum_filter(shell.closed, 2, origin=-1, mode="nearest")
+    ends = np.array(shell.closed.shape)[:, None] - 1
+    cells = np.clip(np.floor(places).astype(np.int64), 0, ends)
+    places = places[:, around[tuple(cells)] <= 0.5 * need]
+    filled = scipy.ndimage.map_coordinates(shell.closed, places, order=1, mode="nearest") <= 0.5 * need
     if filled.sum() > _FILLED * (finest.closed.size - len(free)):
         lost.append(f"gaps narrower than {200.0 * shell.reach / finest.voxels.size:.0f} % of the object's size")
     holes, kept = before.genus or 0, after.genus or 0

@@ -46,8 +46,8 @@ def voxel_cage(
     for last in (False, True):
         found = []
         for closing in _CLOSINGS:
-            reach = need + max(2.0 * spacing, 0.0 if side is None else closing * side)
-            shell = ObjectShell(voxels, min(reach, need + 40.0 * spacing))
+            room = min(0.0 if side is None else closing * side, 40.0 * spacing)
+            shell = ObjectShell(voxels, need + room) if room > 2.0 * spacing else voxels.narrow_shell
             solid = shell.closed <= need + 0.5 * spacing
             # what lies within its skin marks nothing that is not filled
             solid &= ~np.asarray(scipy.ndimage.binary_erosion(solid, np.ones((3, 3, 3), bool)), bool)
