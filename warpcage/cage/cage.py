@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import warp as wp
@@ -14,20 +14,21 @@ from ..core.checks import device_by_name, renamed, warn_caller
 from ..core.files import PathLike
 from ..core.reports import Progress, reports_progress
 from ..errors import InputError
-from ..field.voxel_field import VoxelField
 from ..mesh.io import write_mesh
 from ..mesh.match import matched_vertices
 from ..mesh.mesh import TriangleMesh, require_mesh
 from ..mesh.queries import inside_mesh
 from ..mesh.validity import require_usable
-from ..select.selection import NodeSelection
-from ..splats.splat_field import SplatField
-from .check import CageReport, check_cage
-from .generate import cage_around_field, cage_around_mesh, simplified
 from .poses import PosableMesh
 from .repair import repaired_faces, subdivided, symmetrised
 from .shapes import box, cylinder, icosphere
 from .up_axis import load_standing
+
+if TYPE_CHECKING:  # and imported where they are used: the kernels of fields and of coordinates take a second to load
+    from ..field.voxel_field import VoxelField
+    from ..select.selection import NodeSelection
+    from ..splats.splat_field import SplatField
+    from .check import CageReport
 
 
 class Cage(PosableMesh):
@@ -126,6 +127,8 @@ class Cage(PosableMesh):
         Raises:
             ValueError: For a field or a mesh with nothing in it, or a pose that does not match.
         """
+        from .check import check_cage
+
         return check_cage(self, field=field, mesh=mesh, pose=pose)
 
     def repair(self, *, largest_hole: int = 12) -> tuple[Cage, tuple[str, ...]]:
@@ -324,6 +327,8 @@ class Cage(PosableMesh):
                 could be made.
             Cancelled: Where `progress` returned False.
         """
+        from .generate import cage_around_mesh
+
         return cls(
             *cage_around_mesh(
                 mesh,
@@ -383,6 +388,8 @@ class Cage(PosableMesh):
                 made.
             Cancelled: Where `progress` returned False.
         """
+        from .generate import cage_around_field
+
         return cls(
             *cage_around_field(
                 field,
@@ -448,6 +455,8 @@ class Cage(PosableMesh):
             ValueError: For a cage that is not usable, a count that is not below its own, an object that is not inside
                 even now, or where no such cage is found.
         """
+        from .generate import simplified
+
         return Cage(*simplified(self, vertex_count, field=field, mesh=mesh, margin=margin))
 
     @renamed(center="centre")

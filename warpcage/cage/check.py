@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ..coordinates.coordinates import deform_points
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..mesh.match import matched_vertices
@@ -408,6 +407,8 @@ def sample_pose(
     stencil = stencil[inside_mesh(stencil[:, 1:].reshape(-1, 3), pose).reshape(-1, 3).all(axis=1)]
     if not len(stencil):
         return 0, 0.0, 0.0, (1.0, 1.0)
+    from ..coordinates.coordinates import deform_points  # here, as its kernels take a while to load
+
     mapped = deform_points(stencil.reshape(-1, 3), pose, rest, coordinates="mean_value")
     assert isinstance(mapped, np.ndarray)  # as the points are
     mapped = mapped.reshape(-1, 4, 3)

@@ -18,7 +18,6 @@ from ..mesh.faces import column_dot, face_edges
 from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import crossing_faces
 from ..mesh.validity import first_problem, require_usable, winding_numbers
-from .check import grid_points
 
 #: The kinds of modes, in the order in which their numbers are drawn.
 POSE_MODES = ("bend", "twist", "stretch", "taper", "wave", "bump")
@@ -366,6 +365,8 @@ class PoseProbe:
 
 def _places(rest: ClosedMesh, samples: int) -> np.ndarray:
     """About so many places (n, 3) inside a cage, clear of its surface; none where it is too thin for any."""
+    from .check import grid_points
+
     points, spacing = grid_points(rest, samples)
     places = points[:0]
     for clearance in CLEARANCES:

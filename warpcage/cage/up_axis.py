@@ -16,7 +16,6 @@ from ..mesh.match import matched_vertices
 from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import inside_mesh
 from ..mesh.validity import first_problem
-from ..select.selection import some_visible_nodes
 
 Mesh = TypeVar("Mesh", bound=ClosedMesh)
 
@@ -223,6 +222,8 @@ def object_points(scene_object: Any, count: int) -> np.ndarray:
     # splats of whole places reach so far that the cells of a grid over all of them are larger than the object
     vertices = getattr(scene_object, "vertices", getattr(scene_object, "shown_points", None))
     if vertices is None:
+        from ..select.selection import some_visible_nodes
+
         return some_visible_nodes(scene_object, count)
     points = np.asarray(vertices, dtype=np.float64)
     chosen = np.random.default_rng(0).permutation(len(points))[:count]

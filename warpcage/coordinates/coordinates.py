@@ -33,7 +33,6 @@ from ..core.reports import Progress, reports_progress
 from ..errors import InputError
 from ..kernels.coordinates import local_points
 from ..kernels.lattice import cage_map
-from ..lattice.closed_form import closed_form_weights
 from ..lattice.position_map import PositionMap
 from ..mesh import faces as face_geometry
 from ..mesh.biharmonic import LayerEquations
@@ -387,6 +386,8 @@ def _weigh(
     kind: CoordinateKind, points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike, outside: str
 ) -> list[wp.array]:
     """Weights of vertices (n, v), and of faces (n, f) in world units where there are any, by a closed form."""
+    from ..lattice.closed_form import closed_form_weights  # here, as frames by harmonic maps need no kernel of it
+
     local, lost, cage = checked_points(kind, points, cage, device, outside)
     _require_room(local, _row_length(kind, cage))
     vertices, faces = cage_arrays(cage, local)

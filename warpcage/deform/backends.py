@@ -33,7 +33,6 @@ from ..errors import InputError
 from ..field.render import NEW_TARGET, FieldView, RenderOptions, RenderTarget
 from ..field.voxel_field import VoxelField
 from ..kernels.render import samples
-from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.buffers import StreamOrder
 from ..mesh.queries import inside_mesh
 from ..mesh.validity import require_usable
@@ -42,13 +41,11 @@ from ..render.sampled import SampledField, render_samples
 from ..render.scene import PosedScene
 from ..render.surface_mesh import SurfaceMesh
 from ..render.view import PosedEdits, cage_span, require_short_march
-from ..splats.matter import SplatDensity
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
 from .exact import ExactEdits
 from .poses import canonical_points, checked_poses, posed_samples
-from .splat_edits import SplatEdits
 
 #: The posed cages, one per edit, None for one that removes.
 Cages: TypeAlias = list[Cage | None]
@@ -58,6 +55,8 @@ Deformable: TypeAlias = VoxelField | SplatField | SampledField | SurfaceMesh
 
 if TYPE_CHECKING:
     import typing_extensions  # of the type checker
+
+    from .splat_edits import SplatEdits
 
     # the default lets annotations of callers be plain `Deformer`
     FieldT = typing_extensions.TypeVar("FieldT", bound=Deformable, default=Any)
@@ -248,12 +247,15 @@ class SampledBackend(LookupBackend[SampledField]):
         return render_samples(sample, self.field, self.reached(cages), camera, options, target)
 
 
-class SplatBackend(Backend[SplatField, SplatEdits]):
+class SplatBackend(Backend[SplatField, "SplatEdits"]):
     """Splats, which are matter and move forward."""
 
     kind = SplatField
 
     def _make_edits(self, progress: bool | Progress) -> SplatEdits:
+        from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
+        from .splat_edits import SplatEdits  # here, as fields of voxels need none of its kernels
+
         field, edits, options = self.field, self.surfaces, self.options
         if any(edit.fragments > 0.0 for edit in edits):
             raise InputError("fragments are for voxels: splats of a part that hang over its wall go by their shares")
@@ -279,6 +281,8 @@ class SplatBackend(Backend[SplatField, SplatEdits]):
 
 def splat_band(field: SplatField, edit: CageEdit) -> FalloffBand:
     """The band of an edit, whose cut walls are found among the splats near its cage."""
+    from ..splats.matter import SplatDensity
+
     low, high = edit.cage.bounds
     reach = 0.1 * edit.cage.size
     matter: Any = SplatDensity(field, bounds=np.array([low - reach, high + reach]))

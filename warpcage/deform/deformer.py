@@ -27,7 +27,6 @@ from ..view.camera import Camera
 from ..view.frame import Frame, Frames
 from .backends import AnyBackend, FieldT, MapOptions, backend_of
 from .poses import PoseLike, RestLike, inverse_error
-from .splat_baking import baked_field, write_sequence
 from .views import ViewKeywords, render_pose, render_poses
 
 if TYPE_CHECKING:
@@ -410,6 +409,8 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
         Raises:
             ValueError: For a field that is not one of splats: `bake` takes voxels too.
         """
+        from .splat_baking import baked_field  # with kernels that voxels do not need
+
         field = self._splat_field("baked")
         with self.lock:
             posed, edits = self.posed_splats(), self._backend.posed
@@ -443,6 +444,8 @@ class Deformer(HeldOnDevice, Generic[FieldT]):
             ValueError: For a field that is not one of splats, a path without a run of #, a first number that is none,
                 or as `pose`.
         """
+        from .splat_baking import write_sequence
+
         self._splat_field("save_sequence")
         return write_sequence(path, (self._baked_pose(pose) for pose in poses), first, overwrite)
 

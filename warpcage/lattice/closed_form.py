@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -14,8 +14,6 @@ from ..core.checks import warn_caller
 from ..core.devices import DEFAULT_WORK, launch
 from ..errors import InputError
 from ..kernels.coordinates.local_points import find_not_finite
-from ..kernels.gradients.corners import gather_nodes
-from ..kernels.gradients.ring_adjoint import propagate_interpolation
 from ..kernels.lattice.cage_map import place_nodes
 from ..kernels.lattice.closed_form import interpolate_nodes, stretch_normals
 from ..kernels.lattice.corrections import correct_values, measure_corrections
@@ -25,12 +23,14 @@ from ..mesh.faces import StretchTarget, stretched_normals
 from ..mesh.mesh import ClosedMesh, prepared_fans
 from ..mesh.surface import merge_rows
 from .buffers import PoseConstants
-from .corner_sums import CornerSums
 from .gaps import MapTarget
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes, continue_outwards, continue_through_cage
 from .sizes import NodeSections, PoseSizes
 from .solver import MapSolver, WeightBlock
+
+if TYPE_CHECKING:
+    from .corner_sums import CornerSums
 
 #: Points whose layers, of faces that have several, are held at a time.
 CHUNK = 1 << 13
@@ -121,6 +121,9 @@ class ClosedFormSolver(MapSolver):
 
     def launch_adjoint(self, sums: CornerSums, targets: wp.array, slopes: wp.array, by_crossings: WarpStruct) -> None:
         """Launch the backward pass through the formula; see MapSolver."""
+        from ..kernels.gradients.corners import gather_nodes
+        from ..kernels.gradients.ring_adjoint import propagate_interpolation
+
         sections, levels = self.sizes.lists, self.nodes.levels
         for axis in reversed(range(3)):
             self._launch(propagate_interpolation, sections.finest_inside, [axis, levels], [slopes])

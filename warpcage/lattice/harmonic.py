@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -29,12 +30,14 @@ from ..kernels.lattice.harmonic import (
     restrict_residual,
 )
 from ..kernels.lattice.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
-from .corner_sums import CornerSums
 from .gaps import MapTarget
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes, continue_to_rings
 from .sizes import NodeSections, PoseSizes
 from .solver import MapSolver, WeightBlock
+
+if TYPE_CHECKING:
+    from .corner_sums import CornerSums
 
 SWEEPS = 2  # before and after the coarse correction: V(2, 2)
 COARSEST_SWEEPS = 8

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -21,13 +21,15 @@ from ..mesh.faces import face_area
 from ..mesh.match import posed_mesh, require_same_faces, with_faces_of
 from ..mesh.mesh import ClosedMesh, require_mesh
 from ..mesh.validity import require_usable
-from .corner_sums import CornerSums
 from .gaps import REPORTED_JUMP, MapTarget, lattice_side_bytes, side_bytes
 from .graph import PoseGraph
 from .harmonic import require_tolerance
 from .lattice import CageLattice, lattice_frame, more_list_bytes, require_resolution
 from .launches import PoseLaunches
 from .solver import LatticeWeights, MapSolver
+
+if TYPE_CHECKING:  # kernels of gradients are imported where one is asked for
+    from .corner_sums import CornerSums
 
 #: Bytes for each node (and its coarser levels), lattice line and square cell of the cage surface, and a fixed part.
 NODE_BYTES, LEVELS_BYTES, LINE_BYTES, SURFACE_BYTES, FIXED_BYTES = 20, 4, 100, 350, 1 << 19
@@ -334,6 +336,8 @@ class PositionMap(HeldOnDevice):
                 given = f"{by_positions.shape} of {by_positions.dtype.__name__}"
                 raise InputError(f"slopes by the nodes must be {lattice.shape} of vec3, as data.positions, got {given}")
             if self._sums is None:
+                from .corner_sums import CornerSums
+
                 self._sums = CornerSums(lattice.cage, self.device)
             self._sums.clear()
             targets = wp.array(self._surface.vertices - self.origin, dtype=wp.vec3, device=self.device)

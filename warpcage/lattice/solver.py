@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -10,19 +11,19 @@ import warp as wp
 from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import HeldOnDevice, launch
 from ..core.names import coordinate_kind
-from ..kernels.gradients.corners import sum_crossings
-from ..kernels.gradients.ring_adjoint import CrossingSlopes, propagate_ring, propagate_through_cage
 from ..kernels.lattice.cage_map import apply_weights
 from ..kernels.lattice.cut_rows import CutRows
 from ..kernels.lattice.nodes import RINGS
 from ..kernels.lattice.side_values import set_boundary_values
 from ..mesh.mesh import ClosedMesh
 from .buffers import Buffer, BufferPool
-from .corner_sums import CornerSums
 from .gaps import GapFlags, MapTarget
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes
 from .sizes import PoseSizes
+
+if TYPE_CHECKING:  # kernels of gradients are imported where one is asked for
+    from .corner_sums import CornerSums
 
 #: Rows of weights: the first node's place in the list, then (m, v) of vertices and (m, f) of faces where there are any.
 WeightBlock = tuple[int, wp.array, wp.array | None]
@@ -121,6 +122,8 @@ class MapSolver(HeldOnDevice, ABC):
     def backward(self, by_positions: wp.array, target: MapTarget, targets: wp.array, sums: CornerSums) -> None:
         """Launch what adds to `sums` the slopes of a number by corners of the posed cage, node units, and of the rest
         cage, from those by the positions of the last map, (nodes,) vec3; targets: (v,) vec3, the rest cage."""
+        from ..kernels.gradients.ring_adjoint import CrossingSlopes, propagate_ring, propagate_through_cage
+
         sizes, levels = self.sizes, self.nodes.levels
         sections = sizes.lists
         slopes = self._slopes.take(sizes.level_nodes)
@@ -146,6 +149,8 @@ class MapSolver(HeldOnDevice, ABC):
 
     def _sum_crossings(self, sums: CornerSums, targets: wp.array, adjoint: wp.array, by_crossings: WarpStruct) -> None:
         """Launch what crossings of links pass on; adjoint: (nodes,) vec3 of the solution, or (0,)."""
+        from ..kernels.gradients.corners import sum_crossings
+
         count = self.sizes.lists.cut
         span = -(-count // sums.parts) if self.device.is_cpu else 1
         cage = [self.lattice.vertices, self.lattice.faces, targets]

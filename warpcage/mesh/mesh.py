@@ -17,8 +17,6 @@ from ..core.arrays import as_host_array, as_host_points
 from ..core.devices import launch
 from ..core.names import agreed, counted
 from ..errors import InputError
-from ..kernels.coordinates.quad_mean_value import prepare_quads
-from ..kernels.mesh.fans import prepare_fans
 from .surface import CELLS, PolygonFaces
 
 
@@ -64,6 +62,8 @@ def face_fans(faces: np.ndarray) -> FaceFans:
 def prepared_fans(vertices: wp.array, faces: wp.array, size: float, out: wp.array | None = None) -> wp.array:
     """What closed forms read of faces (f,) vec3i in the order of `face_fans`, see the kernel `prepare_fans`: (2 f,)
     vec4. size: of the mesh, in the vertices' unit; out: filled, None makes a new array."""
+    from ..kernels.mesh.fans import prepare_fans  # here, as files are read and written without kernels
+
     fans = wp.empty(2 * faces.size, dtype=wp.vec4, device=faces.device) if out is None else out  # pyright: ignore[reportArgumentType]
     launch(prepare_fans, faces.size, [vertices, faces, size], [fans], device=faces.device)
     return fans
@@ -71,6 +71,8 @@ def prepared_fans(vertices: wp.array, faces: wp.array, size: float, out: wp.arra
 
 def prepared_quads(vertices: wp.array, quads: wp.array, size: float, out: wp.array | None = None) -> wp.array:
     """What closed forms read of quads (q,) vec4i, see the kernel `prepare_quads`: (3 q,) vec4. size, out: as above."""
+    from ..kernels.coordinates.quad_mean_value import prepare_quads
+
     planes = wp.empty(3 * quads.size, dtype=wp.vec4, device=quads.device) if out is None else out  # pyright: ignore[reportArgumentType]
     launch(prepare_quads, quads.size, [vertices, quads, size], [planes], device=quads.device)
     return planes

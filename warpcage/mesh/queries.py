@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from ..core.arrays import PointsLike, as_given, as_host_points, is_device_array, points_device, points_in_turn
 from ..core.devices import launch
 from ..core.modules import Kernel
-from ..kernels.mesh.containment import measure_distance, measure_winding_number
 from .faces import column_cross
 from .mesh import ClosedMesh
 from .surface import CELLS
@@ -50,6 +49,8 @@ def inside_mesh(
 
 
 def _inside(points: np.ndarray, mesh: ClosedMesh, tolerance: float, device: wp.Device) -> np.ndarray:
+    from ..kernels.mesh.containment import measure_distance, measure_winding_number  # as in mesh.py
+
     # float32 relative to the mesh's middle, so that a mesh far from the origin keeps its digits, and to its size, so
     # that products of lengths stay in range
     center, size = mesh.bounds.mean(axis=0), mesh.size

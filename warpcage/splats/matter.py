@@ -14,11 +14,9 @@ from ..core.checks import checked_bounds, checked_whole
 from ..core.devices import launch
 from ..core.memory import require_memory
 from ..errors import InputError
-from ..kernels.splats.fit import deposit_splats
 from ..view.camera import Camera
 from ..view.frame import Frame
 from .io.contents import MIN_OPACITY
-from .render import IMAGE_BLUR
 
 if TYPE_CHECKING:
     from .splat_field import SplatField
@@ -71,6 +69,8 @@ def half_light(
 ) -> float:
     """Distance along a ray, unit direction (3,), at which half of its light is gone; infinite where it is not.
     spread: width of its pixel at distance 1; near: splats less than this ahead are not drawn."""
+    from .render import IMAGE_BLUR  # here, as its kernels are loaded where splats are drawn
+
     offset = centers.astype(np.float64) - origin
     ahead = offset @ direction
     beside = np.linalg.norm(offset - ahead[:, None] * direction, axis=1)
@@ -123,6 +123,8 @@ class SplatDensity:
     node_name = SPLAT_NODE
 
     def __init__(self, field: SplatField, resolution: int = RESOLUTION, bounds: ArrayLike | None = None):
+        from ..kernels.splats.fit import deposit_splats
+
         self.field, self.straightening = field, None  # the coordinates are those of the file
         box = field.bounds if bounds is None else checked_bounds(bounds)
         # (2, 3) and (3,) float64, world units; the box is a whole number of voxels

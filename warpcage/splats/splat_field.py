@@ -40,10 +40,11 @@ from .io.contents import (
 )
 from .io.formats import endings_read
 from .matter import REACH, RESOLUTION, SPLAT_NODE, SplatDensity, finest_side, half_light, whole_voxels
-from .render import SplatRenderer, near_distance
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # of the type checker
+
+    from .render import SplatRenderer
 
 
 class SplatField(HeldOnDevice):
@@ -494,11 +495,15 @@ class SplatField(HeldOnDevice):
     @functools.cached_property
     def renderer(self) -> SplatRenderer:
         """What draws the field, with buffers that its views share."""
+        from .render import SplatRenderer
+
         return SplatRenderer(self.device)
 
     @functools.cached_property
     def near(self) -> float:
         """How far before a camera a splat's centre must be to be drawn, world units."""
+        from .render import near_distance
+
         return near_distance(self.contents.centers)
 
     def view_options(self) -> dict[str, Any]:
