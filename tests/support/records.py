@@ -2,6 +2,7 @@
 
 python tests/support/records.py help                  # tests/data/help: --help of all commands
 python tests/support/records.py pictures "fit" "bake"  # tests/data/pictures.npz: these cases of picture_hashes.py
+python tests/support/records.py video                 # tests/studio/captures/phone_video.mp4
 """
 
 import pathlib
@@ -52,6 +53,11 @@ if __name__ == "__main__":
     kind, *cases = sys.argv[1:] or ("",)
     if kind == "help" and not cases:
         write_help(CONTRACTS.parent / "data" / "help")
+    elif kind == "video" and not cases:
+        from ground_truth import write_phone_video
+        from scenes import PHONE_VIDEO
+
+        write_phone_video(CONTRACTS.parent / "studio" / "captures" / "phone_video.mp4", device="cpu", **PHONE_VIDEO)
     elif kind == "pictures" and cases and set(cases) <= set(picture_hashes.CASES):
         write_pictures(cases, picture_hashes.GOLDEN)
     else:

@@ -6,11 +6,14 @@ import json
 import pathlib
 
 import numpy as np
-from ground_truth import TEXTURE, CarriedMesh, PhonePath, table_scene
+from ground_truth import TEXTURE, CarriedMesh, PhonePath, phone_cameras, table_scene
 from scene_writers import Pictures, write_dtu, write_image
 
 from warpcage import Camera, Scene, VoxelField, turntable
 from warpcage.demo import brick_model, render_mesh_views
+
+#: How tests/studio/captures/phone_video.mp4 was made: with a rolling shutter and every sixth frame blurred.
+PHONE_VIDEO = {"frames": 36, "size": (256, 192), "strips": 8, "blurred": 6, "exposures": 1}
 
 #: What a node belongs to.
 EMPTY, FLOOR, TABLE, LAMP, BALL, FRAGMENT = range(6)
@@ -152,9 +155,7 @@ OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 def table_pictures(times, *, size=(200, 150), fov_degrees=62.0, route=None):
     """Pictures (n, h, w, 3) uint8 of the table scene at times of a walk, and their cameras."""
     route = PhonePath(shake=(0.0, 0.0)) if route is None else route
-    width, height = size
-    focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
-    cameras = [Camera(focal, focal, width / 2, height / 2, width, height, route.pose(time)) for time in times]
+    cameras = phone_cameras(times, size, fov_degrees, route)
     return render_table(cameras), cameras
 
 

@@ -1,10 +1,12 @@
 """What tests of captures find the cameras of: pictures, and a phone's video, of a walk around the table scene."""
 
+import pathlib
+
 import numpy as np
 import pytest
-from ground_truth import write_phone_video
+from ground_truth import phone_cameras
 from made import made_once
-from scenes import table_pictures
+from scenes import PHONE_VIDEO, table_pictures
 
 from warpcage import Camera
 
@@ -33,17 +35,8 @@ def shots(pytestconfig):
 
 
 @pytest.fixture(scope="session")
-def phone_video(pytestconfig, tmp_path_factory):
-    """The video, with a rolling shutter and every sixth frame blurred, and the true cameras of all its frames."""
-
-    def make(path):
-        video = path.with_suffix(".mp4")
-        options = {"frames": 36, "size": (256, 192), "strips": 8, "blurred": 6, "exposures": 1}
-        cameras = write_phone_video(video, device="cpu", **options)
-        kept(path, cameras, video=np.frombuffer(video.read_bytes(), np.uint8))
-        video.unlink()
-
-    video = tmp_path_factory.mktemp("walk") / "walk.mp4"
-    with np.load(made_once(pytestconfig, "table_video.npz", make)) as held:
-        video.write_bytes(held["video"].tobytes())
-        return video, cameras_of(held)
+def phone_video():
+    """The video, whose rays would take 20 s to cast anew, and the true cameras of all its frames."""
+    count = PHONE_VIDEO["frames"]
+    times = [place * (1.0 / (count - 1)) for place in range(count)]
+    return pathlib.Path(__file__).parent / "phone_video.mp4", phone_cameras(times, PHONE_VIDEO["size"])

@@ -5,9 +5,11 @@ import json
 
 import numpy as np
 import pytest
+from fit_oracles import poses_of
 from ground_truth import PhonePath, write_phone_video
 from PIL import Image
-from scenes import camera_errors, found_poses, relative_errors, save_pictures, similarity
+from runs import require_same_film
+from scenes import PHONE_VIDEO, camera_errors, found_poses, relative_errors, save_pictures, similarity
 from test_capture_video import turn_video
 
 import warpcage
@@ -22,6 +24,14 @@ def walk(phone_video, tmp_path_factory):
     """The folder of the scene of the phone's video, the report, and the true cameras of all frames."""
     folder = tmp_path_factory.mktemp("scene") / "scene"
     return folder, warpcage.capture(phone_video[0], folder, frames=18, progress=False), phone_video[1]
+
+
+@pytest.mark.nightly
+def test_the_kept_video_is_what_is_ray_cast_now(phone_video, tmp_path):
+    """Otherwise: `python tests/support/records.py video`."""
+    cameras = write_phone_video(tmp_path / "walk.mp4", device="cpu", **PHONE_VIDEO)
+    require_same_film(phone_video[0], tmp_path / "walk.mp4")
+    assert np.array_equal(poses_of(cameras), poses_of(phone_video[1]))
 
 
 def test_cameras_of_a_video(walk):

@@ -4,7 +4,7 @@ from .carried_mesh import CarriedMesh
 from .casual import CASUAL, casual_scene, casual_views
 from .inverse_map import InverseMap
 from .models import MODELS, chair_model, subdivided_model
-from .phone_video import TEXTURE, PhonePath, table_scene, take_picture, write_phone_video
+from .phone_video import TEXTURE, PhonePath, phone_cameras, table_scene, take_picture, write_phone_video
 from .scenes import FLOOR, KINDS, OBJECT_BOX, ROOM_HALF, object_model, room_views, synthetic_scene
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "casual_views",
     "chair_model",
     "object_model",
+    "phone_cameras",
     "room_views",
     "subdivided_model",
     "synthetic_scene",

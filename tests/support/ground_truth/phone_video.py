@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import warp as wp
@@ -88,6 +88,15 @@ def take_picture(
     return np.concatenate(rows), np.array(poses)
 
 
+def phone_cameras(
+    times: Sequence[float], size: tuple[int, int], fov_degrees: float = 62.0, route: PhonePath | None = None
+) -> list[Camera]:
+    """The phone at times of a walk, from 0 to 1; see `write_phone_video`."""
+    (width, height), route = size, PhonePath() if route is None else route
+    focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
+    return [Camera(focal, focal, width / 2, height / 2, width, height, route.pose(time)) for time in times]
+
+
 def write_phone_video(
     path: str | os.PathLike[str],
     *,
@@ -111,10 +120,9 @@ def write_phone_video(
     if height % strips or width % 2 or height % 2:
         raise InputError(f"a video of {width}x{height} pixels is not cut into {strips} strips of whole, even sizes")
     route = PhonePath() if route is None else route
-    focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
     mesh = CarriedMesh(*table_scene(), texture=TEXTURE, device=device)
     step = 1.0 / max(frames - 1, 1)
-    true = [Camera(focal, focal, width / 2, height / 2, width, height, route.pose(k * step)) for k in range(frames)]
+    true = phone_cameras([k * step for k in range(frames)], size, fov_degrees, route)
 
     def render(cameras: list[Camera]) -> np.ndarray:
         return mesh.render(cameras, samples=samples)[0][..., :3]
