@@ -41,7 +41,7 @@ QUICK = {
     "batch_scale": "batch-scale --items 5_000 --workers 50 --frames 20 --messages 2000 --json {out}/batch_scale.json",
     "table1": "frames table1 --quick --json {out}/table1.json --figure {out}/table1.jpg",
     "splats_truth": "splats-truth --quick --json {out}/splats_truth.json --figures {out}",
-    "frames": "frames times {of} --device cpu --size 48 --resolution 24 --runs 1 --json {out}/frames.json",
+    "frames": "frames times {of} --device cpu --size 48 --resolution 24 --runs 1 --poses 3 --json {out}/frames.json",
     "every_kernel": "every_kernel.py --device cpu",
     "growth": "growth measure --quick --device cpu --runs 1 --only frame-edits --json {out}/growth.json",
     "same_bits": "same-bits {tree} --only pose mesh",

@@ -60,6 +60,7 @@ def measure(args) -> None:
         if args.quick
         else (PICTURES, FIT_SIDES, SPLATS, FRAME_SIDES, EDITS)
     )
+    lattice = {"resolution": 24} if args.quick else {}
     sweeps = {
         "voxel-fit-pictures": (pictures, lambda n: fit_cost(scene_of(field, n, side), device)),
         "voxel-fit-pixels-a-side": (fit_sides, lambda n: fit_cost(scene_of(field, count, n), device)),
@@ -71,7 +72,7 @@ def measure(args) -> None:
         "splat-fit-splats": (splats, lambda n: splat_fit_cost(field, n, count, side)),
         "frame-pixels-a-side": (frame_sides, lambda n: frame_cost(field, n, args.runs)),
         "frame-of-splats-splats": (splats, lambda n: splat_frame_cost(field, n, side, args.runs)),
-        "frame-edits": (edits, lambda n: edits_cost(field, n, 2 * side, args.runs)),
+        "frame-edits": (edits, lambda n: edits_cost(field, n, 2 * side, args.runs, **lattice)),
     }
     rows = []
     for name, (values, cost) in sweeps.items():
@@ -226,7 +227,7 @@ def splat_frame_cost(field, most: int, side: int, runs: int) -> dict:
     return {"canonical": milliseconds(lambda: cloud.render(camera), field, runs)}
 
 
-def edits_cost(field, count: int, side: int, runs: int) -> dict:
+def edits_cost(field, count: int, side: int, runs: int, **lattice) -> dict:
     """Milliseconds of frames and of new poses with frames of boxes beside each other, each turned."""
     lower, upper = np.asarray(field.bounds, dtype=np.float64)
     edges = np.linspace(lower[0], upper[0], count + 1)
@@ -236,7 +237,7 @@ def edits_cost(field, count: int, side: int, runs: int) -> dict:
         for low, high in itertools.pairwise(edges)
     ]
     camera = turntable_view(field, side, side)
-    deformer = warpcage.Deformer(field, boxes, coordinates="mean_value")
+    deformer = warpcage.Deformer(field, boxes, coordinates="mean_value", **lattice)
     poses = itertools.cycle([[box.rotate(turn, axis="x") for box in boxes] for turn in (12.0, 10.0)])
     return {
         "pose and frame": milliseconds(lambda: deformer.pose(next(poses)).render(camera), field, runs),
