@@ -217,10 +217,12 @@ def _apart(edges, costs, faces, count, most) -> np.ndarray:
     order = np.argsort(one, kind="stable")
     neighbors = np.roll(faces, -1, axis=1).reshape(-1)[order].tolist()
     last = np.cumsum(np.bincount(one, minlength=count)).tolist()
-    taken, chosen = set(), []
+    ends, taken, chosen = edges.tolist(), set(), []
     for k in np.argsort(costs, kind="stable").tolist():
-        touched = set(edges[k].tolist())
-        for end in edges[k].tolist():
+        touched = set(ends[k])
+        if not taken.isdisjoint(touched):  # most of those that are not chosen
+            continue
+        for end in ends[k]:
             touched.update(neighbors[last[end - 1] if end else 0 : last[end]])
         if taken.isdisjoint(touched):
             taken |= touched

@@ -228,6 +228,14 @@ class NearestInVoxels:
             wp.float64(spacing),
         ]
 
+    @classmethod
+    def of(cls, points, spacing) -> NearestInVoxels:
+        """Of points (p, 3) in voxels of their own."""
+        bounds = bounds_of(points)
+        cell = np.floor((points - bounds[0]) / spacing + 0.5).astype(np.int64)
+        shape = tuple((bounds_of(cell)[1] + 1).tolist())
+        return cls(points, np.asarray(np.ravel_multi_index(tuple(cell.T), shape)), shape, bounds[0], spacing)
+
     def distance(self, x: np.ndarray, about: np.ndarray, most: np.ndarray | float = math.inf) -> np.ndarray:
         """(n,) distance from x (n, 3) to the nearest point, to the same bits as SciPy's KDTree; about (n,) > 0: where
         the search begins; most, for all or (n,), > 0: where it ends."""

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from .distance import bounds_of
+from .distance import NearestInVoxels, bounds_of
 
 #: Share of an object's size that its mirror image may lie off it, nearly everywhere, for a symmetric cage; and where.
 _NEAR, _NEARLY_ALL = 0.02, 0.95
@@ -75,17 +75,13 @@ def joined_halves(vertices: np.ndarray, faces: np.ndarray, plane: tuple[int, flo
 def nearest_mirror(points: np.ndarray, spacing: float) -> str | None:
     """The axis across whose middle points (n, 3), `spacing` apart, nearly are their own mirror image, the best one; or
     None."""
-    from scipy.spatial import KDTree
-
-    # large leaves and no balancing: the same distances, sooner
-    tree, bounds = KDTree(points, leafsize=32, balanced_tree=False), bounds_of(points)
+    tree, bounds = NearestInVoxels.of(points, spacing), bounds_of(points)
     some = points[:: max(1, len(points) // _MAX_POINTS)]
     limit = _NEAR * float((bounds[1] - bounds[0]).max()) + spacing
     off = {}
     for axis, name in enumerate("xyz"):
         image = reflected(some, axis, 0.5 * float(bounds[:, axis].sum()))
-        distances = tree.query(image, distance_upper_bound=4.0 * limit)[0]
-        distances = np.minimum(distances, 4.0 * limit)
+        distances = tree.distance(image, np.full(len(image), spacing), 4.0 * limit)
         if np.quantile(distances, _NEARLY_ALL) <= limit:
             off[name] = round(float(distances.mean()) / limit, 3)  # of planes as good as each other the first
     return min(off, key=lambda name: off[name]) if off else None
