@@ -108,7 +108,9 @@ def voxel_gradient(
     views = [FieldView(field, camera, options) for camera in cameras]
     view = views[0]  # all have its step, threads and colour
     if view.side != 1:
-        raise InputError(f"a gradient is of frames with one ray a pixel, the field's supersampling is {view.side}")
+        raise InputError(
+            f"a gradient is of frames with one ray a pixel, the field takes {view.side**2}: set field.supersampling = 1"
+        )
     if view.layers is not None:
         raise InputError("a gradient is of frames without surroundings: give the colour of a background")
     loss = FrameLoss()

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from ..coordinate_kinds import COORDINATE_KINDS
 from ..core.checks import require_type
 from ..errors import InputError, StateError
-from ..mesh.mesh import ClosedMesh
+from ..mesh.mesh import ClosedMesh, require_mesh
 
 _Kind = TypeVar("_Kind")
 
@@ -26,6 +26,8 @@ _change = threading.Lock()
 
 def number_of(item: Any, kind: type, what: str) -> int:
     """The number of an object of a kind, the same as long as it lives; `what` begins the message where it is none."""
+    if kind is ClosedMesh:
+        require_mesh(item, what)
     require_type(item, kind, what)
     with _change:
         if item not in _numbers:

@@ -169,6 +169,8 @@ def turned_camera(camera: Camera, numbers: np.ndarray) -> Camera:
     """A camera changed by seven numbers: turns about its axes, radians; shifts along them; log of its focal length."""
     from scipy.spatial.transform import Rotation
 
+    if not np.isfinite(numbers).all():
+        raise InputError(f"camera_change must be finite, got {np.asarray(numbers).tolist()}")
     pose, factor = camera.camera_to_world.copy(), float(np.exp(numbers[6]))
     pose[:3, 3] += pose[:3, :3] @ numbers[3:6]
     pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(numbers[:3]).as_matrix()

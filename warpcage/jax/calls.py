@@ -12,14 +12,17 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import as_points
+from ..core.names import shown
 from ..errors import InputError
 
 
 @functools.cache
 def call(function: Callable[..., None], outputs: int) -> Any:
     """A function of Warp arrays and numbers, the last ones its outputs, as XLA calls it, on CPU and CUDA."""
-    # Nothing is captured, as poses are read on the host.
-    return wp.jax_callable(_in_order(function), num_outputs=outputs, graph_mode=wp.JaxCallableGraphMode.NONE)
+    # Nothing is captured, as poses are read on the host. Under `jax.vmap` calls follow one another: by default Warp
+    # joins what is mapped to longer arrays, as for functions of each row alone.
+    mode = wp.JaxCallableGraphMode.NONE
+    return wp.jax_callable(_in_order(function), num_outputs=outputs, graph_mode=mode, vmap_method="sequential")
 
 
 def _in_order(function: Callable[..., None]) -> Callable[..., None]:
@@ -42,7 +45,14 @@ def _in_order(function: Callable[..., None]) -> Callable[..., None]:
 
 def float_rows(array: Any, name: str) -> Any:
     """An array (n, 3) of single floats; gradients pass."""
-    rows = jnp.asarray(array, dtype=jnp.float32)
+    try:
+        rows = jnp.asarray(array)
+        is_real = not jnp.iscomplexobj(rows)
+    except (TypeError, ValueError):
+        is_real = False
+    if not is_real:
+        raise InputError(f"{name} must be real numbers (n, 3), got {shown(array)}")
+    rows = rows.astype(jnp.float32)
     if rows.ndim != 2 or rows.shape[1] != 3:
         raise InputError(f"{name} must be (n, 3), got {rows.shape}")
     return rows

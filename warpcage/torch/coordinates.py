@@ -13,7 +13,7 @@ from ..coordinates.vjp import coordinates_vjp, deform_points_vjp
 from ..core.names import POINT_COORDINATES
 from ..interop.numbers import object_of, weight_counts
 from ..mesh.mesh import ClosedMesh
-from .operators import constant_number, host, in_order, like, single, tensor_of
+from .operators import constant_number, host, in_order, like, real_tensor, single, tensor_of
 
 #: The number of a cage that was left out.
 NONE = -1
@@ -49,11 +49,13 @@ def deform_points(
     """
     number = constant_number(rest, ClosedMesh, "the rest cage must be")
     pose, vertices = NONE, None
-    if isinstance(deformed, torch.Tensor):
-        vertices = deformed
-    else:
+    if isinstance(deformed, ClosedMesh):
         pose = constant_number(deformed, ClosedMesh, "the deformed cage must be")
-    return _moved(single(points), rest_vertices, vertices, number, pose, coordinates, outside or "")
+    else:
+        vertices = real_tensor(deformed, "deformed, where it is no Cage,")
+    if rest_vertices is not None:
+        rest_vertices = real_tensor(rest_vertices, "rest_vertices")
+    return _moved(single(points, "points"), rest_vertices, vertices, number, pose, coordinates, outside or "")
 
 
 def mean_value_coordinates(
@@ -74,7 +76,9 @@ def mean_value_coordinates(
         ValueError: As `warpcage.mean_value_coordinates`.
     """
     number = constant_number(cage, ClosedMesh, "the cage must be")
-    return _weights(single(points), vertices, number, "mean_value", outside)[0]
+    if vertices is not None:
+        vertices = real_tensor(vertices, "vertices")
+    return _weights(single(points, "points"), vertices, number, "mean_value", outside)[0]
 
 
 def green_coordinates(
@@ -95,7 +99,9 @@ def green_coordinates(
         ValueError: As `warpcage.green_coordinates`.
     """
     number = constant_number(cage, ClosedMesh, "the cage must be")
-    return _weights(single(points), vertices, number, "green", outside)
+    if vertices is not None:
+        vertices = real_tensor(vertices, "vertices")
+    return _weights(single(points, "points"), vertices, number, "green", outside)
 
 
 def _cage(number: int, vertices: torch.Tensor | None) -> ClosedMesh:

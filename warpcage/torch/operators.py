@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
+from torch.autograd import forward_ad
 
+from ..errors import InputError, UseError
 from ..interop.numbers import number_of
 
 #: Of a compiled function: while it is traced, a cage, a Deformer or a camera is the number that it has, with a guard.
@@ -33,9 +35,20 @@ def in_order(tensor: torch.Tensor) -> Iterator[None]:
             theirs.wait_stream(own)
 
 
-def single(tensor: torch.Tensor) -> torch.Tensor:
-    """A tensor as single floats, as kernels take it; gradients pass."""
-    return tensor.to(torch.float32)
+def real_tensor(tensor: torch.Tensor, name: str) -> torch.Tensor:
+    """A tensor of real numbers, as it is."""
+    if not isinstance(tensor, torch.Tensor) or tensor.is_complex():
+        given = str(tensor.dtype) if isinstance(tensor, torch.Tensor) else type(tensor).__name__
+        raise InputError(f"{name} must be a tensor of real numbers, got {given}")
+    # operators have no forward mode, and torch takes what passes through them for constant
+    if not torch.compiler.is_compiling() and forward_ad.unpack_dual(tensor).tangent is not None:
+        raise UseError("forward derivatives (jvp) do not pass through warpcage.torch: take backward ones (vjp)")
+    return tensor
+
+
+def single(tensor: torch.Tensor, name: str) -> torch.Tensor:
+    """A tensor of real numbers as single floats, as kernels take it; gradients pass."""
+    return real_tensor(tensor, name).to(torch.float32)
 
 
 def host(tensor: torch.Tensor) -> np.ndarray:

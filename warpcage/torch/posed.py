@@ -20,7 +20,8 @@ from ..interop.posed import (
     require_camera_numbers,
 )
 from ..view.camera import Camera
-from .operators import constant_number, host, in_order, like, single, tensor_of
+from ..view.frame import parse_background
+from .operators import constant_number, host, in_order, like, real_tensor, single, tensor_of
 
 
 def to_canonical(
@@ -52,8 +53,8 @@ def to_canonical(
         ValueError: As `Deformer.pose` and `Deformer.to_canonical`, and for other edits.
     """
     number = constant_number(deformer, Deformer, "to_canonical needs")
-    pose = _last_pose(number) if vertices is None else vertices
-    return _canonical(single(points), single(directions), pose, number, step)
+    pose = _last_pose(number) if vertices is None else real_tensor(vertices, "vertices")
+    return _canonical(single(points, "points"), single(directions, "directions"), pose, number, step)
 
 
 def render(
@@ -62,7 +63,7 @@ def render(
     vertices: torch.Tensor | None = None,
     *,
     camera_change: torch.Tensor | None = None,
-    background: tuple[float, float, float] | None = None,
+    background: str | tuple[float, float, float] | None = None,
     step: float | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """The view of a camera of a deformed scene, with gradients by the pose and by the camera.
@@ -77,7 +78,7 @@ def render(
         vertices: (v, 3) of the posed cage, world units, on any device. None is the last pose at the time of the call.
         camera_change: (7,) turns about the camera's axes, radians, shifts along them, world units, and the logarithm of
             a factor of its focal length. None leaves the camera as it is; given, gradients pass to them.
-        background: Red, green and blue behind the scene. None is the field's own colour.
+        background: Red, green and blue behind the scene, or the name of a colour. None is the field's own.
         step: March step, world units, for voxels. None is the field's.
 
     Returns:
@@ -88,7 +89,11 @@ def render(
     """
     number = constant_number(deformer, Deformer, "render needs")
     view = constant_number(camera, Camera, "render needs")
-    pose = _last_pose(number) if vertices is None else vertices
+    pose = _last_pose(number) if vertices is None else real_tensor(vertices, "vertices")
+    if camera_change is not None:
+        camera_change = real_tensor(camera_change, "camera_change")
+    if isinstance(background, str):
+        background = tuple(parse_background(background).tolist())
     color = [] if background is None else [float(each) for each in background]
     return _frame(pose, camera_change, number, view, color, step)
 

@@ -353,7 +353,7 @@ def test_what_has_no_gradient_yet_is_refused(device):
     refused(lambda: frame_gradient(deformer, camera, alpha_gradient=np.zeros((8, 9))), "alpha_gradient must be (64,)")
     fine = Deformer(shiny_field(device), BOX, resolution=16)
     fine.field.supersampling = 2
-    refused(lambda: frame_gradient(fine, camera), "one ray a pixel, the field's supersampling is 2")
+    refused(lambda: frame_gradient(fine, camera), "one ray a pixel, the field takes 4: set field.supersampling")
     around = Deformer(surrounded_ball(device), BOX, resolution=16)
     refused(lambda: frame_gradient(around, camera), "without surroundings: give the colour of a background")
     assert not np.abs(frame_gradient(around, camera, background="white").nodes.numpy()).max()

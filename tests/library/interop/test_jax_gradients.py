@@ -98,8 +98,23 @@ def test_a_traced_function_is_called_again():
     assert len(traced) == 1
 
 
+def test_mapped_functions_are_called_for_each():
+    """`jax.vmap` over poses, over points, and over a gradient, beside one call after another."""
+    points, poses = given(np.stack([POSE.vertices, CAGE.vertices * 1.1]))
+    both = jax.numpy.stack([points, points + 0.1])
+    for function, mapped in (
+        (lambda pose: passing.deform_points(points, CAGE, pose), poses),
+        (lambda rows: passing.deform_points(rows, CAGE, POSE), both),
+        (lambda rows: passing.mean_value_coordinates(rows, CAGE), both),
+        (jax.grad(lambda pose: (passing.deform_points(points, CAGE, pose) ** 2).sum()), poses),
+    ):
+        np.testing.assert_array_equal(jax.vmap(function)(mapped), np.stack([function(each) for each in mapped]))
+
+
 def test_what_is_wrong_is_told_in_its_line(capfd):
     points, pose = given(POSE.vertices)
+    refused(lambda: passing.deform_points(points, CAGE, "pose"), "vertices of a cage must be real numbers (n, 3)")
+    refused(lambda: passing.deform_points(points + 1j, CAGE, pose), "points must be real numbers (n, 3)")
     with pytest.raises(ValueError, match=r"points must be \(n, 3\), got \(6, 2\)"):
         passing.deform_points(points[:, :2], CAGE, pose)
     with pytest.raises(ValueError, match="outside must be one of"):

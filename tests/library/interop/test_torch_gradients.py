@@ -142,6 +142,15 @@ def test_a_compiled_function_follows_another_cage():
 BOX_LIKE = CAGE.stretch(1.2)
 
 
+def test_mapped_operators_and_backgrounds_by_name(device):
+    points, poses = some_points(device), tensor(np.stack([POSE.vertices, CAGE.vertices * 1.1]), device)
+    mapped = torch.func.vmap(lambda pose: passing.deform_points(points, CAGE, pose))(poses)
+    assert torch.equal(mapped, torch.stack([passing.deform_points(points, CAGE, pose) for pose in poses]))
+    deformer, camera = bent_deformer("mean_value", device, 16), view(size=8)
+    by_name, by_numbers = (passing.render(deformer, camera, background=each)[0] for each in ("black", (0.0, 0.0, 0.0)))
+    assert torch.equal(by_name, by_numbers)
+
+
 def test_backward_again_adds_and_twice_is_refused():
     points = some_points("cpu", grad=True)
     loss = passing.deform_points(points, CAGE, POSE).square().sum()
@@ -297,6 +306,21 @@ def test_what_has_no_gradient_is_refused(device):
     refused(lambda: passing.render(deformer, camera, camera_change=torch.zeros(6)), "(7,)")
     around = Deformer(surrounded_ball(device), BOX, coordinates="mean_value", resolution=16)
     refused(lambda: passing.render(around, camera), "surroundings", "colour")
+    refused(lambda: passing.render(deformer, camera, camera_change=torch.full((7,), math.nan)), "must be finite, got")
+    refused(lambda: passing.render(deformer, camera, BOX), "vertices must be a tensor of real numbers, got Cage")
+    refused(
+        lambda: passing.deform_points(points.numpy(force=True), BOX, BENT), "points must be a tensor", "got ndarray"
+    )
+    refused(
+        lambda: passing.deform_points(points, BOX, BENT.vertices), "deformed, where it is no Cage, must be a tensor"
+    )
+    refused(lambda: passing.deform_points(points + 1j, BOX, BENT), "got torch.complex64")
+    refused(lambda: passing.mean_value_coordinates(points, points), "the cage must be a Cage, got Tensor")
+    refused(
+        lambda: torch.func.jvp(lambda x: passing.deform_points(x, BOX, BENT), (points,), (points,)),
+        "jvp",
+        error=TypeError,
+    )
     posed = points.clone().requires_grad_()
     refused(lambda: warpcage.deform_points(posed, BOX, BENT), "warpcage.torch", "deform_points", "detach")
 
