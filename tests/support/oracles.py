@@ -189,7 +189,7 @@ def mean_value_weights(points, vertices, faces, dtype=np.longdouble):
         half = theta.sum(axis=1, keepdims=True) / 2
         after, before, sine = [1, 2, 0], [2, 0, 1], np.sin(theta)
         c = 2 * np.sin(half) * np.sin(half - theta) / (sine[:, after] * sine[:, before]) - 1
-        side = np.sign((u[:, 0] * np.cross(u[:, 1], u[:, 2])).sum(axis=1))
+        side = np.sign((u[:, 0] * _crossed(u[:, 1], u[:, 2])).sum(axis=1))
         s = side[:, None] * np.sqrt(np.maximum(1 - c**2, 0))
         numerator = theta - c[:, after] * theta[:, before] - c[:, before] * theta[:, after]
         denominator = distance[:, face] * sine[:, after] * s[:, before]

@@ -224,14 +224,14 @@ def reference_view(
     chunk = max(1, 4_000_000 // len(pixels))
     for begin in range(0, len(z), chunk):
         part = slice(begin, begin + chunk)
-        d = pixels[:, None] - center[None, part]
-        power = -0.5 * np.einsum("pni,nij,pnj->pn", d, inverse[part], d)
+        (right, down), ((xx, xy), (yx, yy)) = (pixels[:, None] - center[part]).transpose(2, 0, 1), inverse[part].T
+        power = -0.5 * (xx * right**2 + (xy + yx) * right * down + yy * down**2)
         alpha = np.minimum(0.999, strength[part] * np.exp(power))
         alpha[alpha < 1 / 255] = 0
         kept_light = np.cumprod(1 - alpha, axis=1)
         weight = alpha * left[:, None] * np.hstack([np.ones((len(pixels), 1)), kept_light[:, :-1]])
         total += weight @ color[part]
-        depth += (weight * (distance[part] + np.einsum("pni,ni->pn", d, slope[part]))).sum(axis=1)
+        depth += (weight * (distance[part] + right * slope[part, 0] + down * slope[part, 1])).sum(axis=1)
         left = left * kept_light[:, -1]
     opacity = 1 - left
     shape = (camera.height, camera.width)
