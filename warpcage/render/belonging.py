@@ -114,23 +114,33 @@ def likeness(field: AnyField, glimpses: list[Glimpse], motion: Similarity = STIL
     return Likeness(correlation, errors[0] / errors[1], 1.0 + (errors[0] - errors[1]) / whole)
 
 
-def mismatch(field: AnyField, views: SceneViews) -> str | None:
-    """A message of how a field differs from a scene's pictures, and what would explain it; None where it does not."""
+@dataclasses.dataclass(frozen=True)
+class Mismatch:
+    """How a field differs from a scene's pictures."""
+
+    text: str  # with what would explain it
+    may_be_pose: bool  # cameras see something, which no turn or scale explains: pictures of another pose are like that
+
+
+def mismatch(field: AnyField, views: SceneViews) -> Mismatch | None:
+    """How a field differs from a scene's pictures; None where it does not."""
     found = likeness(field, views.glimpses)
     if not found.is_doubtful:
         return None
     points, few = object_points(field, POINTS), views.glimpses[:: max(1, len(views.glimpses) // FEW)]
     blind = sum((picture_counts([each], points) > 0).mean() < MIN_SHARE for each in views.cameras if len(points))
     message = f"what it shows is unlike the pictures (correlation {found.correlation:.2f})"
-    if 2 * blind > len(views.cameras) or not np.isfinite(found.error):
+    is_blind = 2 * blind > len(views.cameras) or not np.isfinite(found.error)
+    if is_blind:
         message = f"{blind} of {len(views.cameras)} cameras see nothing of it"
     fitting = [each for each in _explanations(_thinned(field), few) if each[1].explains]
     if fitting:
         what, best = min(fitting, key=lambda each: each[1].left)
-        return f"{message}; {what} would explain it (correlation {best.correlation:.2f})"
-    return (
+        return Mismatch(f"{message}; {what} would explain it (correlation {best.correlation:.2f})", may_be_pose=False)
+    return Mismatch(
         f"{message}; neither a turn by 90 degrees nor a scale explains it (splats of nerfstudio: --frame "
-        "dataparser_transforms.json)"
+        "dataparser_transforms.json)",
+        may_be_pose=not is_blind,
     )
 
 

@@ -150,7 +150,9 @@ def test_what_would_explain_it_is_said(place, turn, scale, argv):
     quaternions = (turn * Rotation.from_quat(held.quaternions[:, [1, 2, 3, 0]])).as_quat()[:, [3, 0, 1, 2]]
     values = held.log_scales + np.log(scale), quaternions, held.logits, held.harmonics[:, :1]
     moved = SplatField(scale * turn.apply(held.centers), *values, device="cpu")
-    line = mismatch(moved, SceneViews.of(scene))
+    found = mismatch(moved, SceneViews.of(scene))
+    assert found is not None and not found.may_be_pose
+    line = found.text
     assert line is not None and argv in line and "\n" not in line
 
 

@@ -11,20 +11,20 @@ from warpcage import Cage, Scene, turntable
 def files(tmp_path_factory):
     """The ball of `write_files`, and pictures of it by formula after a shift: cut out, and whole, darker and redder."""
     folder = write_files(tmp_path_factory.mktemp("fit_pose"))
-    cameras = turntable((0, 0, 0), 3.0, 20, 4, width=28, height=24, fov_degrees=40)
-    images, alphas = zip(*(shifted_ball(camera) for camera in cameras), strict=True)
-    Scene(np.stack(images), np.stack(alphas), cameras).save(folder / "moved")
-    Scene(np.stack(images) * np.float32([0.9, 0.75, 0.6]), None, cameras).save(folder / "photographs")
+    images, alphas = zip(*(shifted_ball(camera) for camera in CAMERAS), strict=True)
+    Scene(np.stack(images), np.stack(alphas), CAMERAS).save(folder / "moved")
+    Scene(np.stack(images) * np.float32([0.9, 0.75, 0.6]), None, CAMERAS).save(folder / "photographs")
     return folder
 
 
 SHIFT = np.array([0.12, -0.1, 0.08])
+CAMERAS = turntable((0, 0, 0), 3.0, 20, 4, width=28, height=24, fov_degrees=40)
 
 
-def shifted_ball(camera):
+def shifted_ball(camera, shift=SHIFT):
     """Colours (h, w, 3) before white and opacities (h, w): red above, blue below."""
     origins, directions = camera.rays()
-    origins = origins - SHIFT
+    origins = origins - shift
     along = (origins * directions).sum(-1)
     rest = along**2 - (origins**2).sum(-1) + 0.36  # half a voxel further out
     alpha = (rest > 0).astype(np.float32)
@@ -53,6 +53,17 @@ def test_a_pose_stands_in_its_file_as_the_cage_does(files):
     succeed(files, *command, "-o", "@turned.obj", *options)
     rest, found = (Cage.load(files / name, up="y") for name in ("standing.obj", "turned.obj"))
     np.testing.assert_allclose((found.vertices - rest.vertices).mean(axis=0), SHIFT, atol=0.03)
+
+
+def test_a_frame_of_the_pose_is_not_taken_for_another_scene(files, capsys):
+    """Pictures of the object in a pose are unlike the field, which is said where no pose is asked for."""
+    images = np.stack([shifted_ball(camera, 4 * SHIFT)[0] for camera in CAMERAS])
+    Scene(images, None, CAMERAS).save(files / "aside")
+    Cage.load(files / "cage.obj").translate(4 * SHIFT).save(files / "there.obj")
+    command = ("render", "@ball.npz", "--camera", "@aside:0", "-o", "@frame.png", "--device", "cpu")
+    for more, is_said in (((), True), (("--cage", "@cage.obj", "--posed", "@there.obj"), False)):
+        succeed(files, *command, *more)
+        assert ("do not belong together" in capsys.readouterr().err) is is_said
 
 
 def test_what_is_missing_is_said_in_one_line(files, capsys):

@@ -179,8 +179,8 @@ def read_field_file(args: argparse.Namespace) -> AnyField:
 def in_world_of_scene(
     args: argparse.Namespace, field: AnyField, named: tuple[pathlib.Path, SceneViews] | None
 ) -> AnyField:
-    """A field taken out of nerfstudio's frame where that is asked for, or a file beside says so and it then shows the
-    scene's pictures; fields that do not are reported. named: folder and views of the scene, in its files' world."""
+    """A field taken out of nerfstudio's frame where that is asked for, or a file beside says so and pictures agree. Ones
+    that it does not show are reported, but for those of a pose. named: folder and views of a scene, in its files' world."""
     source = None if named is None else named[1].to_source
     given = getattr(args, "frame_file", None)
     if given is not None:
@@ -189,8 +189,9 @@ def in_world_of_scene(
     if named is None:
         return field
     folder, views = named[0], named[1].moved(field.straightening)
-    if (reason := mismatch(field, views)) is None:
+    if (found := mismatch(field, views)) is None:
         return field
+    reason = found.text
     beside = {path.resolve(): path for path in (pathlib.Path(args.field).parent / FRAME_FILE, folder / FRAME_FILE)}
     for path in beside.values() if given is None and isinstance(field, SplatField) else ():
         if path.is_file():
@@ -199,6 +200,8 @@ def in_world_of_scene(
             if not likeness(field, views.glimpses, motion).is_doubtful:
                 return _moved(args, field, path, frame, motion)
             reason += f", nor does {path}"
+    if found.may_be_pose and is_deformed(args):
+        return field
     say(f"warning: {args.field} and the cameras of {folder} do not belong together: {reason}")
     return field
 
