@@ -27,8 +27,9 @@ ROBUST = 0.05
 #: Share of the size by which points may lie outside of the cage at rest: surfaces that are scanned are not exact.
 MAX_OUTSIDE = 0.02
 
-#: Newton steps that find where the map has a place at rest, and the share of the size that they may leave.
-NEWTON_STEPS, CLOSE = 12, 1e-4
+#: Newton steps that find where the map has a place at rest, at most; the share of the size that they may leave, and
+#: that which needs no more of them.
+NEWTON_STEPS, CLOSE, EXACT = 12, 1e-4, 1e-5
 
 #: Differences of places for the map's derivatives there, as a share of the size.
 DIFFERENCE = 2e-3
@@ -143,6 +144,8 @@ def positions_of(deformer: Any, points: np.ndarray, guess: np.ndarray) -> np.nda
         distance = np.where(mapped, np.linalg.norm(off, axis=1), np.inf)
         better = distance < best
         best, found[better] = np.where(better, distance, best), place[better]
+        if (best < EXACT * size).all():
+            break
         slopes = np.swapaxes(canonical[:, 1:] - canonical[:, :1], 1, 2) / (DIFFERENCE * size)
         usable = mapped & (np.abs(np.linalg.det(slopes)) > 1e-3)
         place[usable] += np.linalg.solve(slopes[usable], off[usable, :, None])[..., 0]
