@@ -507,9 +507,9 @@ def test_what_does_not_match_is_said(device):
     alphas, depths = np.stack([alpha for alpha, _ in shown]), np.stack([depth for _, depth in shown])
     far = [dataclasses.replace(each, camera_to_world=each.camera_to_world * FURTHER) for each in seen]
     for targets, message in (
-        (PoseTargets(far, alphas=alphas), "without the object: do the pictures show it"),
-        (PoseTargets(seen, alphas=alphas, depths=1000 * depths), "depths differ by .* times the cage's size"),
-        (PoseTargets(seen, alphas=0 * alphas), "do [a-z ]* show [a-z ]*, and are the cameras"),
+        (PoseTargets(far, alphas=alphas), "without the object"),
+        (PoseTargets(seen, alphas=alphas, depths=1000 * depths), "depths differ by .* times"),
+        (PoseTargets(seen, alphas=0 * alphas), "are the cameras, depths"),
         (PoseTargets(seen, alphas=0 * alphas + 1), "where less than 0.02 is usual"),
     ):
         with pytest.warns(UserWarning, match=message):

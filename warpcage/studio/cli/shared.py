@@ -179,7 +179,7 @@ def read_field_file(args: argparse.Namespace) -> AnyField:
 def in_world_of_scene(
     args: argparse.Namespace, field: AnyField, named: tuple[pathlib.Path, SceneViews] | None
 ) -> AnyField:
-    """A field taken out of nerfstudio's frame where that is asked for, or a file beside says so and pictures agree; what
+    """A field out of nerfstudio's frame where that is asked for, or a file beside says so, and pictures agree; what
     is unlike them is reported, where it is no pose. named: folder and views of the scene, in its files' world."""
     source = None if named is None else named[1].to_source
     given = getattr(args, "frame_file", None)
