@@ -233,3 +233,17 @@ def test_bending_is_what_is_left_of_the_best_turn():
     before, after = (cage.vertices[ring] - cage.vertices[vertex] for cage in (rest, posed))
     _, off = scipy.spatial.transform.Rotation.align_vectors(after, before)
     assert bending_of(rest, posed)[vertex] == pytest.approx(off / np.linalg.norm(before), rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_specks_about_an_object_leave_it_its_quads(seed):
+    """Drawn close, patches pass one of the specks; kept off alone they hold all."""
+    random = np.random.default_rng(seed)
+    places = random.normal(size=(5, 3))
+    places *= 1.25 / np.linalg.norm(places, axis=1, keepdims=True)
+    specks = [trimesh.creation.icosphere(0, radius=0.01) for _ in places]
+    for speck, place in zip(specks, places, strict=True):
+        speck.apply_translation(place * random.uniform(0.8, 1.1))
+    mesh = trimesh.util.concatenate([trimesh.creation.icosphere(3), *specks])
+    cage = Cage.from_mesh(mesh, 60, faces="quads", method="shell")
+    assert sum(len(face) == 4 for face in cage.polygons) > 40 and cage.contains(np.asarray(mesh.vertices)).all()

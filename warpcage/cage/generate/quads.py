@@ -64,16 +64,17 @@ def quad_cage(voxels: ObjectVoxels, cage: ClosedMesh, plane: tuple[int, float] |
         return short / side
 
     joined = paired(cage.vertices, cage.faces, None if mirror is None else mirror.partner, pushed)
-    found = _held(shell, cage, joined, voxels.need, mirror)
-    if found is None:
-        return cage
-    # coarser triangles, which some coordinates take, lie on both sides of the patches
-    coarse, fine = found.refined(1), found.refined(CELLS)
-    inside = (crossings(shell.voxels.skin, coarse.vertices, coarse.faces) >= 1).all()
-    if not inside or tangle(shell, coarse.vertices, coarse.faces) or flaw(shell, fine.vertices, fine.faces):
-        return cage
-    _log.info("quads: %d of %d faces", sum(len(face) == 4 for face in found.polygons), found.face_count)
-    return found
+    for rounds in (_DRAWN_ROUNDS, 0):  # drawing may pass a speck, which is left outside
+        found = _held(shell, cage, joined, voxels.need, mirror, rounds)
+        if found is None:
+            break
+        # coarser triangles, which some coordinates take, lie on both sides of the patches
+        coarse, fine = found.refined(1), found.refined(CELLS)
+        inside = (crossings(voxels.skin, coarse.vertices, coarse.faces) >= 1).all()
+        if inside and not (tangle(shell, coarse.vertices, coarse.faces) or flaw(shell, fine.vertices, fine.faces)):
+            _log.info("quads: %d of %d faces", sum(len(face) == 4 for face in found.polygons), found.face_count)
+            return found
+    return cage
 
 
 def paired(
@@ -239,13 +240,14 @@ class _Patches:
 
 
 def _held(
-    shell: ObjectShell, cage: ClosedMesh, quads: np.ndarray, need: float, mirror: Mirror | None
+    shell: ObjectShell, cage: ClosedMesh, quads: np.ndarray, need: float, mirror: Mirror | None, rounds: int
 ) -> ClosedMesh | None:
-    """The cage with as many of the quads (q, 4) as hold, drawn close and kept off the object; None where none does."""
+    """The cage with as many of the quads (q, 4) as hold, drawn close in so many rounds and kept off the object; None
+    where none does."""
     if not len(quads):
         return None
     patches = _Patches(shell, cage, quads, need, mirror)
-    drawn, clear = patches.moved(cage.vertices, _DRAWN_ROUNDS)
+    drawn, clear = patches.moved(cage.vertices, rounds)
     if not patches.wrong(drawn, clear).any():
         return patches.cage.with_vertices(drawn)
     vertices = cage.vertices
