@@ -514,8 +514,9 @@ def test_what_does_not_match_is_said(device):
     ):
         with pytest.warns(UserWarning, match=message):
             fit_pose(deformer, targets, parameters="rigid", restarts=0)
+    moments = [PoseTargets(seen, alphas=alphas), PoseTargets(far, alphas=alphas)]
     with pytest.warns(UserWarning, match="moment 1: the pose that was found"):
-        fit_poses(deformer, [PoseTargets(seen, alphas=alphas), PoseTargets(far, alphas=alphas)], parameters="rigid")
+        fit_poses(deformer, moments, parameters="rigid", restarts=0)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         fit_pose(deformer, PoseTargets(seen, alphas=alphas, depths=depths), parameters="rigid", restarts=0)

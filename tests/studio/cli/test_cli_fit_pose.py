@@ -33,26 +33,21 @@ def shifted_ball(camera, shift=SHIFT):
     return (alpha[..., None] * color + 1 - alpha[..., None]).astype(np.float32), alpha
 
 
-@pytest.mark.parametrize("pictures", [("@moved",), ("@photographs", "--exposure")], ids="cut out,whole".split(","))
-def test_a_shift_is_found_and_written(files, pictures, capsys):
+@pytest.mark.parametrize("up", [(), ("--cage-up", "y")], ids=["cut out", "whole, y up"])
+def test_a_shift_is_found_and_written(files, up, capsys):
+    """A cage with y up gives a pose with y up, so that `--cage-up` reads both."""
+    pictures = ("@photographs", "--exposure") if up else ("@moved",)
     options = ("--parameters", "rigid", "--restarts", "0", "--quiet", "--device", "cpu")
-    command = ("fit-pose", "@ball.npz", "--cage", "@cage.obj", "--pictures", *pictures, "-o", "@found.obj")
-    succeed(files, *command, *options)
+    Cage.load(files / "cage.obj").save(files / "standing.obj", up="y")
+    name = "standing.obj" if up else "cage.obj"
+    succeed(
+        files, "fit-pose", "@ball.npz", "--cage", f"@{name}", *up, "--pictures", *pictures, "-o", "@found.obj", *options
+    )
     said = capsys.readouterr().out
     assert "found.obj: 3 pictures, " in said and "evaluations, loss " in said
-    rest, found = (Cage.load(files / name) for name in ("cage.obj", "found.obj"))
+    rest, found = (Cage.load(files / each, up="y" if up else "z") for each in (name, "found.obj"))
     np.testing.assert_allclose((found.vertices - rest.vertices).mean(axis=0), SHIFT, atol=0.03)
     assert np.array_equal(found.faces, rest.faces)
-
-
-def test_a_pose_stands_in_its_file_as_the_cage_does(files):
-    """A cage with y up gives a pose with y up, so that `--cage-up` reads both."""
-    Cage.load(files / "cage.obj").save(files / "standing.obj", up="y")
-    command = ("fit-pose", "@ball.npz", "--cage", "@standing.obj", "--cage-up", "y", "--pictures", "@moved")
-    options = ("--parameters", "rigid", "--restarts", "0", "--quiet", "--device", "cpu")
-    succeed(files, *command, "-o", "@turned.obj", *options)
-    rest, found = (Cage.load(files / name, up="y") for name in ("standing.obj", "turned.obj"))
-    np.testing.assert_allclose((found.vertices - rest.vertices).mean(axis=0), SHIFT, atol=0.03)
 
 
 def test_a_frame_of_the_pose_is_not_taken_for_another_scene(files, capsys):
