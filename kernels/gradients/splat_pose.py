@@ -88,15 +88,13 @@ def exponent_of(opacity: float, rest: float):
     return wp.log(1.0 - opacity) / wp.log(1.0 - rest)
 
 
-@wp.kernel
-def propagate_pose(
-    first: int,
+@wp.func
+def add_view_slopes(
     law: int,
     splats: Splats,
+    n: int,
     lens: Lens,
-    view: wp.array(dtype=wp.vec4),
-    sums: wp.array(dtype=wp.float32),
-    depth_sums: wp.array(dtype=wp.float32),
+    seen: ViewSlopes,
     rest_covariances: wp.array2d(dtype=float),
     rest_opacities: wp.array(dtype=float),
     carried: CarriedSplats,
@@ -106,15 +104,7 @@ def propagate_pose(
     rays: wp.array2d(dtype=wp.float32),
     values: SplatValues,
 ):
-    """splats (n,): as posed; view, sums (9 n,), depth_sums (3 n,) or (0,): of their picture. Slopes and rays (n, 7) or
-    (0,), by the camera, are added to; where there are log_scales, values by rows, which CPU threads share, as well."""
-    n = first + wp.tid()
-    depths = wp.vec3()
-    if depth_sums.shape[0] > 0:
-        depths = wp.vec3(depth_sums[3 * n], depth_sums[3 * n + 1], depth_sums[3 * n + 2])
-    seen = view_slopes(splats, n, lens, view, sums, depths)
-    if seen.is_seen == 0:
-        return
+    """Add what splat n passes on of a view, see `propagate_pose`."""
     jacobian = carried.jacobians[n]
     rotation = wp.quat_to_matrix(splats.turns[n])
     by_covariance = covariance_slopes(seen)
@@ -162,6 +152,52 @@ def propagate_pose(
         for b in range((splats.degree + 1) * (splats.degree + 1)):
             for channel in range(3):
                 wp.atomic_add(values.harmonics, row, 3 * b + channel, basis[b] * seen.color[channel])
+
+
+@wp.kernel
+def propagate_pose(
+    first: int,
+    law: int,
+    splats: Splats,
+    lenses: wp.array(dtype=Lens),
+    view: wp.array(dtype=wp.vec4),
+    sums: wp.array(dtype=wp.float32),
+    depth_sums: wp.array(dtype=wp.float32),
+    rest_covariances: wp.array2d(dtype=float),
+    rest_opacities: wp.array(dtype=float),
+    carried: CarriedSplats,
+    log_scales: wp.array(dtype=wp.vec3),
+    quaternions: wp.array(dtype=wp.vec4),
+    slopes: CarriedSlopes,
+    rays: wp.array2d(dtype=wp.float32),
+    values: SplatValues,
+):
+    """splats (n,): as posed; view, sums (9 v n,), depth_sums (3 v n,) or (0,): of pictures by lenses (v,). Slopes, rays
+    (n, 7) or (0,) by the camera, and values by rows where there are log_scales are added to; CPU threads share rows."""
+    n = first + wp.tid()
+    for number in range(lenses.shape[0]):
+        at = number * splats.centers.shape[0] + n
+        depths = wp.vec3()
+        if depth_sums.shape[0] > 0:
+            depths = wp.vec3(depth_sums[3 * at], depth_sums[3 * at + 1], depth_sums[3 * at + 2])
+        lens = lenses[number]
+        seen = view_slopes(splats, n, at, lens, view, sums, depths)
+        if seen.is_seen == 1:
+            add_view_slopes(
+                law,
+                splats,
+                n,
+                lens,
+                seen,
+                rest_covariances,
+                rest_opacities,
+                carried,
+                log_scales,
+                quaternions,
+                slopes,
+                rays,
+                values,
+            )
 
 
 @wp.kernel

@@ -33,14 +33,21 @@ def drawn_pixel(
 
 @wp.func
 def pixel_of_tiles(tiles: TileGrid, n: int):
-    """The tile, the column and the row of the pixel of thread n, of which 32 are 8x4 pixels."""
+    """The tile, the column and the row of the pixel of thread n, of which 32 are 8x4 pixels, and its place in arrays
+    of all pictures, or -1 beside them."""
     tile = n // (TILE_SIDE * TILE_SIDE)
+    of_view = tiles.columns * tiles.rows
+    view = tile // of_view
+    own = tile - view * of_view
     block = (n // 32) % (TILE_SIDE * TILE_SIDE // 32)
     lane = n % 32
     across = TILE_SIDE // 8
-    column = (tile % tiles.columns) * TILE_SIDE + (block % across) * 8 + lane % 8
-    row = (tiles.first_row + tile // tiles.columns) * TILE_SIDE + (block // across) * 4 + lane // 8
-    return tile, column, row
+    column = (own % tiles.columns) * TILE_SIDE + (block % across) * 8 + lane % 8
+    row = (tiles.first_row + own // tiles.columns) * TILE_SIDE + (block // across) * 4 + lane // 8
+    at = int(-1)
+    if column < tiles.width and row < tiles.height:
+        at = (view * tiles.height + row) * tiles.width + column
+    return tile, column, row, at
 
 
 @wp.kernel
@@ -59,16 +66,15 @@ def composite_pixels(
     """One thread per pixel of the tiles, 32 of them 8x4 pixels. Outputs (h * w,); depth: expected distance along the
     ray, world units, inf where almost nothing is seen, or (0,)."""
     # view: (3 n,) of splats/project. members: splats of tiles, front to back; starts: (tiles + 1,) of each tile.
-    tile, column, row = pixel_of_tiles(tiles, first + wp.tid())
+    tile, column, row, at = pixel_of_tiles(tiles, first + wp.tid())
     inside = 0
-    if column < tiles.width and row < tiles.height:
+    if at >= 0:
         inside = 1
     with_depth = wp.min(depth.shape[0], 1)
     x = float(column) + 0.5
     y = float(row) + 0.5
     seen = drawn_pixel(view, members, starts[tile], starts[tile + 1], x, y, inside, with_depth, stop)
     if inside == 1:
-        at = row * tiles.width + column
         left = seen[4]
         opacity = 1.0 - left
         rgb[at] = wp.vec3(seen[0], seen[1], seen[2]) + left * background
@@ -114,14 +120,14 @@ def add_slopes(
 ):
     """One thread per pixel of the tiles, as splats/composite, whose inputs and picture these are. slopes: (h * w,) of
     the loss by the picture. sums: (SUMS n,) are added to."""
-    tile, column, row = pixel_of_tiles(tiles, first + wp.tid())
+    tile, column, row, at = pixel_of_tiles(tiles, first + wp.tid())
     inside = 0
     color = wp.vec3()
     slope = wp.vec3()
-    if column < tiles.width and row < tiles.height:
+    if at >= 0:
         inside = 1
-        color = rgb[row * tiles.width + column]
-        slope = slopes[row * tiles.width + column]
+        color = rgb[at]
+        slope = slopes[at]
     add_pixel_slopes(
         view,
         members,
@@ -173,16 +179,16 @@ def add_depth_slopes(
 ):
     """`add_slopes` of a loss by colors, opacities and depths; others: (h * w,) of gradients/splat_pose. depth_sums:
     (3 n,) are added to: slopes by a splat's distance, and by how that leans along columns and rows."""
-    tile, column, row = pixel_of_tiles(tiles, first + wp.tid())
+    tile, column, row, at = pixel_of_tiles(tiles, first + wp.tid())
     inside = 0
     color = wp.vec3()
     slope = wp.vec3()
     other = wp.vec3()
-    if column < tiles.width and row < tiles.height:
+    if at >= 0:
         inside = 1
-        color = rgb[row * tiles.width + column]
-        slope = slopes[row * tiles.width + column]
-        other = others[row * tiles.width + column]
+        color = rgb[at]
+        slope = slopes[at]
+        other = others[at]
     add_pixel_depth_slopes(
         view,
         members,

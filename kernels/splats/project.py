@@ -51,15 +51,16 @@ def rim_slope(slope: float, principal: float, focal: float, size: float):
 @wp.func
 def project_splat(
     n: int,
+    at: int,
     splats: Splats,
     lens: Lens,
     view: wp.array(dtype=wp.vec4),
     depths: wp.array(dtype=wp.float32),
     order: wp.array(dtype=wp.int32),
 ):
-    """One splat of `project_splats`."""
-    order[n] = n
-    depths[n] = wp.inf
+    """Splat n of `project_splats`; at: its place in the outputs."""
+    order[at] = at
+    depths[at] = wp.inf
     camera = lens.camera
     axis_x = wp.vec3(camera.rotation[0, 0], camera.rotation[1, 0], camera.rotation[2, 0])
     axis_y = wp.vec3(camera.rotation[0, 1], camera.rotation[1, 1], camera.rotation[2, 1])
@@ -111,15 +112,15 @@ def project_splat(
     along_column = wp.dot(direction, by_column)
     along_row = wp.dot(direction, by_row)
     color = splat_color(splats, n, direction)
-    view[3 * n] = wp.vec4(column, row, strength, l0)
-    view[3 * n + 1] = wp.vec4(l1, l2, color[0], color[1])
-    view[3 * n + 2] = wp.vec4(
+    view[3 * at] = wp.vec4(column, row, strength, l0)
+    view[3 * at + 1] = wp.vec4(l1, l2, color[0], color[1])
+    view[3 * at + 2] = wp.vec4(
         color[2],
         distance,
         (rr * along_column - cr * along_row) / blurred,
         (cc * along_row - cr * along_column) / blurred,
     )
-    depths[n] = z
+    depths[at] = z
 
 
 @wp.kernel
@@ -133,20 +134,24 @@ def project_splats(
 ):
     """view: (3 n,), see above. depths: (n,) along the optical axis, inf for what is not seen. order: (n,) 0 to
     n - 1."""
-    project_splat(first + wp.tid(), splats, lens, view, depths, order)
+    n = first + wp.tid()
+    project_splat(n, n, splats, lens, view, depths, order)
 
 
 @wp.kernel
 def project_by_lens(
     first: int,
     splats: Splats,
-    lens: wp.array(dtype=Lens),
+    lenses: wp.array(dtype=Lens),
     view: wp.array(dtype=wp.vec4),
     depths: wp.array(dtype=wp.float32),
     order: wp.array(dtype=wp.int32),
 ):
-    """`project_splats` by a lens that lies on the device, (1,), as graphs of training steps replay it."""
-    project_splat(first + wp.tid(), splats, lens[0], view, depths, order)
+    """`project_splats` for each of some lenses (v,), view after view; one item a splat of a view. They lie on the
+    device, as graphs of training steps replay them."""
+    at = first + wp.tid()
+    count = splats.centers.shape[0]
+    project_splat(at % count, at, splats, lenses[at // count], view, depths, order)
 
 
 @wp.func

@@ -146,25 +146,31 @@ class ViewSlopes:
 
 @wp.func
 def view_slopes(
-    splats: Splats, n: int, lens: Lens, view: wp.array(dtype=wp.vec4), sums: wp.array(dtype=wp.float32), depths: wp.vec3
+    splats: Splats,
+    n: int,
+    at: int,
+    lens: Lens,
+    view: wp.array(dtype=wp.vec4),
+    sums: wp.array(dtype=wp.float32),
+    depths: wp.vec3,
 ):
-    """Slopes of splat n; all are 0 where it is not seen. sums: (9 n,) of splats/composite; depths: the three of a
-    picture's depths, zero without."""
-    by_place = wp.vec3(sums[9 * n], sums[9 * n + 1], sums[9 * n + 2])
-    by_shape = wp.vec3(-2.0 * sums[9 * n + 3], -2.0 * sums[9 * n + 4], -2.0 * sums[9 * n + 5])
-    by_color = wp.vec3(sums[9 * n + 6], sums[9 * n + 7], sums[9 * n + 8])
+    """Slopes of splat n; all are 0 where it is not seen. at: its place among those of the view and of the sums, (9 n,)
+    of splats/composite; depths: the three of a picture's depths, zero without."""
+    by_place = wp.vec3(sums[9 * at], sums[9 * at + 1], sums[9 * at + 2])
+    by_shape = wp.vec3(-2.0 * sums[9 * at + 3], -2.0 * sums[9 * at + 4], -2.0 * sums[9 * at + 5])
+    by_color = wp.vec3(sums[9 * at + 6], sums[9 * at + 7], sums[9 * at + 8])
     found = ViewSlopes()
     of_all = wp.length_sq(by_place) + wp.length_sq(by_shape) + wp.length_sq(by_color) + wp.length_sq(depths)
     if of_all == 0.0:
         return found
     found.is_seen = 1
     strength = by_place[0]
-    place = vec4_entry(view, 3 * n)
-    shape = vec4_entry(view, 3 * n + 1)
+    place = vec4_entry(view, 3 * at)
+    shape = vec4_entry(view, 3 * at + 1)
     by_drawn = wp.vec3(  # none where a color is held at 0
         wp.where(shape[2] > 0.0, by_color[0], 0.0),
         wp.where(shape[3] > 0.0, by_color[1], 0.0),
-        wp.where(vec4_entry(view, 3 * n + 2)[0] > 0.0, by_color[2], 0.0),
+        wp.where(vec4_entry(view, 3 * at + 2)[0] > 0.0, by_color[2], 0.0),
     )
     # w = l_0 (x - column) + l_1 (y - row) and s = l_2 (y - row), each once in -w^2 - s^2
     column = 2.0 * place[3] * by_place[1]
@@ -198,7 +204,7 @@ def view_slopes(
     slope_row = wp.vec3()
     if wp.length_sq(depths) > 0.0:
         # depth = |offset| + k . (x - column, y - row), k = E^-1 (direction . S c, direction . S r), E blurred
-        ends = vec4_entry(view, 3 * n + 2)
+        ends = vec4_entry(view, 3 * at + 2)
         column -= ends[2] * depths[0]
         row -= ends[3] * depths[0]
         blurred_c = cc + lens.blur
@@ -260,7 +266,7 @@ def row_slopes(
 ):
     """Slopes of splat n, see `find_value_slopes`; all are 0 where it is not seen."""
     found = RowSlopes()
-    seen = view_slopes(splats, n, lens, view, sums, wp.vec3())
+    seen = view_slopes(splats, n, n, lens, view, sums, wp.vec3())
     if seen.is_seen == 0:
         return found
     # S = M M^T: M' = 2 S' M

@@ -20,13 +20,24 @@ MARGIN = wp.constant(2.0e-3)
 
 @wp.struct
 class TileGrid:
-    """Rows of tiles of a picture."""
+    """Rows of tiles of a picture, or of several of one size, which are drawn at once."""
 
     columns: int
     rows: int
     first_row: int  # where they begin in the picture
     width: int  # of the picture, pixels
     height: int
+    views: int  # pictures; their tiles, pixels and splats lie behind one another
+    splats: int  # of each of several pictures
+
+
+@wp.func
+def first_tile(tiles: TileGrid, n: int):
+    """Number of the first tile of the picture that splat n is seen in."""
+    view = int(0)
+    if tiles.views > 1:
+        view = n // tiles.splats
+    return view * tiles.rows * tiles.columns
 
 
 @wp.func
@@ -141,12 +152,13 @@ def write_entries(
         counts = counts_of_octet(count)
         for k in range(count):
             if at + counts[0] + k < end:
-                keys[at + counts[0] + k] = (row - tiles.first_row) * tiles.columns + columns[0] + k
+                tile = (row - tiles.first_row) * tiles.columns + columns[0] + k
+                keys[at + counts[0] + k] = first_tile(tiles, n) + tile
                 members[at + counts[0] + k] = n
         at += counts[1]
     at += lane
     while at < end:  # the two kernels may be compiled to round otherwise; these are behind all tiles
-        keys[at] = tiles.rows * tiles.columns
+        keys[at] = tiles.views * tiles.rows * tiles.columns
         members[at] = n
         at += lanes
 

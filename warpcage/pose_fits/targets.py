@@ -16,12 +16,12 @@ from ..core.checks import real_array, require_type
 from ..core.devices import SpareMemory, launch
 from ..errors import InputError
 from ..field.render import RenderOptions, picture_arrays
-from ..field.voxel_field import VoxelField
 from ..gradients.frame import voxel_gradient
 from ..gradients.loss import column_sums, run_sums
-from ..gradients.splats import views_gradient
+from ..gradients.splats import SplatViews
 from ..kernels.gradients.differences import Comparison, blur_lines, share_depth_slopes, weigh_differences
 from ..scene.scene import ALPHA_ROOM, IMAGE_ROOM, Scene
+from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import PART_NAMES, parse_background, part_type
 from .photographs import Surroundings, fit_exposures, hull_pixels, pixels_of
@@ -263,6 +263,8 @@ class PictureLoss:
         self.size, self._unit = max(width, height), unit
         self._device, self._spare, self._count = device, SpareMemory(device), len(self.cameras) * height * width
         self.background, self._around = targets.background, None
+        self._is_splats = isinstance(field, SplatField)
+        self._drawn: SplatViews | None = None
         if self.background is None and field is not None:
             self.background = field.background
             if field.background_model is not None:
@@ -332,6 +334,10 @@ class PictureLoss:
     def frames(self, deformer: Any) -> dict[str, wp.array]:
         """The parts of the last pose's frames, (n * h * w,) each."""
         self._spare.keep(FRAME_BYTES * self._count)  # the host waits once an evaluation
+        if self._is_splats and not deformer.edits[0].remove:
+            with deformer.lock:  # once, for the gradient as well
+                self._drawn = SplatViews(deformer, self.cameras, self.background, with_depth=self.depths is not None)
+            return self._drawn.frames
         arrays = deformer.render(self.cameras, background=self.background, supersampling=1).arrays
         found = {name: array_view(arrays[name], part_type(name), self._count) for name in PART_NAMES}
         if self._around is not None and self.images is not None:
@@ -368,10 +374,10 @@ class PictureLoss:
     def _by_vertices(self, deformer: Any, slopes: dict[str, wp.array]) -> wp.array | None:
         """Slopes (v,) by the posed cage's vertices, from those by the frames."""
         with deformer.lock:
-            if isinstance(deformer.field, VoxelField):
-                options = RenderOptions(background=self.background, supersampling=1)
-                return voxel_gradient(deformer, self.cameras, slopes, options, by_vertices=True).vertices
-            return views_gradient(deformer, self.cameras, slopes, self.background, by_vertices=True).vertices
+            if self._drawn is not None:
+                return self._drawn.gradient(slopes, by_vertices=True).vertices
+            options = RenderOptions(background=self.background, supersampling=1)
+            return voxel_gradient(deformer, self.cameras, slopes, options, by_vertices=True).vertices
 
     def _parts(self, names: Sequence[str]) -> dict[str, wp.array]:
         """New arrays (n * h * w,) by names of parts."""

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import array_view, empty_array
+from ..core.arrays import array_view, empty_array, struct_array
 from ..core.checks import (
     checked_flag,
     checked_number,
@@ -26,8 +26,9 @@ from ..core.names import checked_choice
 from ..core.reports import Progress, report_progress, reports_progress
 from ..core.threads import device_turn
 from ..errors import InputError
-from ..kernels.splats import composite, composite_cpu, fit, project_slopes, tiles
+from ..kernels.splats import composite, composite_cpu, fit, project, project_slopes, tiles
 from ..kernels.splats.composite import SUMS
+from ..kernels.splats.project import Lens
 from ..kernels.splats.project_slopes import SplatValues
 from ..kernels.splats.splats import Splats
 from ..lattice.buffers import BufferPool
@@ -41,6 +42,7 @@ from .render import (
     STOP_TRANSMITTANCE,
     SplatRenderer,
     splat_lens,
+    tile_count,
     tile_grid,
 )
 from .splat_field import SplatField
@@ -145,22 +147,35 @@ class SplatGradients(SplatRenderer):
         """The picture (h * w,) vec3, one ray a pixel, valid until the next one; `parameters` are refreshed before.
         lens: of `splat_lens`, of the same camera; colour: behind the splats."""
         self._parameters, self._lens = parameters, lens
-        return self.draw_splats(parameters.splats, camera, lens, color)[0]
+        drawn = self.draw_splats(
+            parameters.splats, (camera.width, camera.height), struct_array([lens], Lens, self.device), color
+        )
+        assert drawn is not None
+        return drawn[0]
 
     def draw_splats(
-        self, splats: Any, camera: Camera, lens: Any, color: wp.vec3, with_depth: bool = False
-    ) -> tuple[wp.array, wp.array, wp.array]:
-        """Colours (h * w,) vec3, opacities (h * w,) and depths (h * w,), or (0,) without, of `draw`."""
-        grid = tile_grid(camera.width, camera.height)
-        seen = self._project(splats, lens, splats.centers.shape[0])
+        self, splats: Any, size: tuple[int, int], lenses: Any, color: wp.vec3, with_depth: bool = False
+    ) -> tuple[wp.array, wp.array, wp.array] | None:
+        """Colours (v * h * w,) vec3, opacities (v * h * w,) and depths (v * h * w,), or (0,) without, of pictures by
+        lenses (v,), width and height as `size`; None where several touch more tiles than are drawn at once."""
+        count, views = splats.centers.shape[0], lenses.size
+        grid = tile_grid(*size, views, count)
+        seen = self._project(splats, lenses, views * count, project.project_by_lens)
         total = self._count(grid, *seen)
+        if total > MAX_ENTRIES and views > 1:
+            return None
         if total > MAX_ENTRIES:
             raise InputError(f"splats touch {total} tiles of a picture, at most {MAX_ENTRIES}: take smaller pictures")
         return self._draw_entries(grid, seen, total, color, with_depth)
 
     @property
+    def drawn(self) -> object:
+        """Another one for each drawing."""
+        return self._drawn
+
+    @property
     def view(self) -> wp.array:
-        """The view (3 n,) of the splats drawn last, of kernels/splats/project.py."""
+        """The view (3 v n,) of the splats drawn last, of kernels/splats/project.py."""
         return self._drawn[1][1]
 
     def take_back(self, slopes: wp.array) -> None:
@@ -177,7 +192,7 @@ class SplatGradients(SplatRenderer):
         self, grid: Any, seen: tuple, total: int, color: wp.vec3, with_depth: bool = False
     ) -> tuple[wp.array, wp.array, wp.array]:
         """Colours (h * w,) vec3, opacities (h * w,) and depths, or (0,) without, of a picture of so many entries."""
-        self.entry_count, pixels = total, grid.width * grid.height
+        self.entry_count, pixels = total, grid.width * grid.height * grid.views
         keys, members = self._write(grid, total, seen)
         sources = self._write_sources(grid, total, keys) if self.device.is_cpu else None
         starts = self._sort(grid, total, keys, members)
@@ -204,22 +219,21 @@ class SplatGradients(SplatRenderer):
         widths = {SUM_COUNT: self._sums, DEPTH_SUM_COUNT: self._depth_sums} if has_depths else {SUM_COUNT: self._sums}
         outputs = [buffer.take(width * count) for width, buffer in widths.items()]
         inputs = [*inputs, STOP_TRANSMITTANCE, rgb, slopes, *([others] if has_depths else [])]
-        tile_count = grid.columns * grid.rows
+        items = tile_count(grid)
         if self.device.is_cpu:
             buffers = dict(zip(widths, (self._entry_sums, self._entry_depths), strict=False))
             rows = [buffer.take(width * total) for width, buffer in buffers.items()]
             inputs.insert(2, sources)
             kernel = composite_cpu.sum_depth_slopes_of_tiles if has_depths else composite_cpu.sum_slopes_of_tiles
-            launch(kernel, tile_count, inputs, rows, device=self.device, work=DRAW_WORK)
+            launch(kernel, items, inputs, rows, device=self.device, work=DRAW_WORK)
             for width, entry_sums, sums in zip(widths, rows, outputs, strict=True):
                 inputs = [order, self._ends.take(count), width, entry_sums]
                 launch(composite_cpu.sum_slopes_of_splats, count, inputs, [sums], device=self.device)
         else:
             for sums in outputs:
                 sums.zero_()
-            kernel, items = composite.add_slopes, tile_count * tiles.TILE_SIDE**2
-            kernel = composite.add_depth_slopes if has_depths else kernel
-            launch(kernel, items, inputs, outputs, device=self.device)
+            kernel = composite.add_depth_slopes if has_depths else composite.add_slopes
+            launch(kernel, items * tiles.TILE_SIDE**2, inputs, outputs, device=self.device)
         return outputs[0], outputs[1] if has_depths else empty_array(0, wp.float32, self.device)
 
     def _write_sources(self, grid: Any, total: int, keys: wp.array) -> wp.array:
@@ -227,7 +241,7 @@ class SplatGradients(SplatRenderer):
         held, sources = self._tiles.take(2 * total), self._sources.take(2 * total)
         wp.copy(held, keys, count=total)
         wp.copy(sources, wp.array(np.arange(total, dtype=np.int32), device=self.device), count=total)
-        wp.utils.radix_sort_pairs(held, sources, total, 0, (grid.columns * grid.rows).bit_length())
+        wp.utils.radix_sort_pairs(held, sources, total, 0, tile_count(grid).bit_length())
         return sources
 
 

@@ -123,19 +123,17 @@ class SplatRenderer:
 
     def _sort(self, grid: Any, total: int, keys: wp.array, members: wp.array) -> wp.array:
         """Sort entries by tile; returns where those of each tile begin."""
-        tile_count = grid.columns * grid.rows
-        wp.utils.radix_sort_pairs(keys, members, total, 0, tile_count.bit_length())
-        starts = self._starts.take(tile_count + 1)
-        launch(tiles.find_tile_starts, tile_count + 1, [keys, total], [starts], device=self.device)
+        count = tile_count(grid)
+        wp.utils.radix_sort_pairs(keys, members, total, 0, count.bit_length())
+        starts = self._starts.take(count + 1)
+        launch(tiles.find_tile_starts, count + 1, [keys, total], [starts], device=self.device)
         return starts
 
     def _composite(self, grid: Any, inputs: list, outputs: list) -> None:
         """Draw the tiles of a grid."""
-        tile_count = grid.columns * grid.rows
-        if self.device.is_cpu:
-            kernel, items = composite_cpu.composite_tiles, tile_count
-        else:
-            kernel, items = composite.composite_pixels, tile_count * tiles.TILE_SIDE**2
+        kernel, items = composite_cpu.composite_tiles, tile_count(grid)
+        if self.device.is_cuda:
+            kernel, items = composite.composite_pixels, items * tiles.TILE_SIDE**2
         launch(kernel, items, inputs, outputs, device=self.device, work=DRAW_WORK)
 
     def _count(self, grid: Any, count: int, view: wp.array, depths: wp.array, order: wp.array) -> int:
@@ -169,17 +167,23 @@ def splat_lens(camera: Camera, origin: ArrayLike, near: float, blur: float, anti
     return lens
 
 
-def tile_grid(width: int, height: int) -> Any:
-    """The tiles of a picture: a TileGrid of kernels/splats/tiles.py."""
+def tile_grid(width: int, height: int, views: int = 1, splats: int = 0) -> Any:
+    """The tiles of a picture, or of several of so many splats each: a TileGrid of kernels/splats/tiles.py."""
     grid = tiles.TileGrid()
     grid.columns, grid.rows = -(-width // tiles.TILE_SIDE), -(-height // tiles.TILE_SIDE)
-    grid.width, grid.height = width, height
+    grid.width, grid.height, grid.views, grid.splats = width, height, views, splats
     return grid
+
+
+def tile_count(grid: Any) -> int:
+    """Tiles of all pictures of a grid."""
+    return grid.columns * grid.rows * grid.views
 
 
 def _band(grid: Any, first_row: int, rows: int) -> Any:
     """Some rows of tiles of a grid."""
     band = tiles.TileGrid()
-    band.columns, band.width, band.height = grid.columns, grid.width, grid.height
+    band.columns, band.width, band.height, band.views = grid.columns, grid.width, grid.height, grid.views
+    band.splats = grid.splats
     band.first_row, band.rows = grid.first_row + first_row, rows
     return band

@@ -3,7 +3,8 @@
 #pragma clang fp contract(fast)
 #include "tile_lanes.h"
 lanes left[16][2], red[16][2], green[16][2], blue[16][2], far[16][2];
-const int x0 = (tile % tiles.columns) * 16, y0 = (tiles.first_row + tile / tiles.columns) * 16;
+const int of_view = tiles.columns * tiles.rows, picture = tile / of_view, own = tile % of_view;
+const int x0 = (own % tiles.columns) * 16, y0 = (tiles.first_row + own / tiles.columns) * 16;
 const int width = tiles.width - x0 < 16 ? tiles.width - x0 : 16;
 const int height = tiles.height - y0 < 16 ? tiles.height - y0 : 16;
 const bool with_depth = depth.shape[0] > 0;
@@ -37,7 +38,7 @@ for (int y = 0; y < height; ++y)
     for (int x = 0; x < width; ++x)
     {
         const int part = x >> 3, lane = x & 7;
-        const size_t at = (size_t)(y0 + y) * tiles.width + x0 + x;
+        const size_t at = ((size_t)picture * tiles.height + y0 + y) * tiles.width + x0 + x;
         const float rest = left[y][part][lane], opacity = 1.0f - rest;
         colors[3 * at] = red[y][part][lane] + rest * background.c[0];
         colors[3 * at + 1] = green[y][part][lane] + rest * background.c[1];

@@ -3,7 +3,8 @@
 #pragma clang fp contract(fast)
 #include "tile_lanes.h"
 lanes left[16][2], behind[16][2], slope[3][16][2];
-const int x0 = (tile % tiles.columns) * 16, y0 = (tiles.first_row + tile / tiles.columns) * 16;
+const int of_view = tiles.columns * tiles.rows, picture = tile / of_view, own = tile % of_view;
+const int x0 = (own % tiles.columns) * 16, y0 = (tiles.first_row + own / tiles.columns) * 16;
 const int width = tiles.width - x0 < 16 ? tiles.width - x0 : 16;
 const int height = tiles.height - y0 < 16 ? tiles.height - y0 : 16;
 const float* colors = reinterpret_cast<const float*>(rgb.data);
@@ -18,7 +19,7 @@ for (int y = 0; y < 16; ++y)
     {
         const int part = x >> 3, lane = x & 7;
         const bool there = x < width && y < height;
-        const size_t at = 3 * ((size_t)(y0 + y) * tiles.width + x0 + x);
+        const size_t at = 3 * (((size_t)picture * tiles.height + y0 + y) * tiles.width + x0 + x);
         float rest = 0.0f;
         for (int c = 0; c < 3; ++c)
         {

@@ -26,7 +26,7 @@ from ...kernels.splats import composite, composite_cpu, fit, project, tiles
 from ...scene.scene import Scene
 from ...splats.fit import SplatGradients
 from ...splats.io.contents import MIN_OPACITY, SplatContents, logits_of, opacities_of
-from ...splats.render import IMAGE_BLUR, MAX_ENTRIES, PROJECT_WORK, splat_lens, tile_grid
+from ...splats.render import IMAGE_BLUR, MAX_ENTRIES, PROJECT_WORK, splat_lens, tile_count, tile_grid
 from ...splats.splat_field import SplatField
 from ...view.camera import Camera
 from ..batches import MIN_ERROR, PRECISIONS, TrainingPictures, counted_pixels, picture_bytes
@@ -91,7 +91,7 @@ class TrainingView(SplatGradients):
 
     def _write(self, grid: Any, total: int, seen: tuple) -> tuple[wp.array, wp.array]:
         if self.device.is_cuda:  # places that no entry takes are sorted behind all tiles
-            self._keys.take(2 * total).fill_(grid.columns * grid.rows)
+            self._keys.take(2 * total).fill_(tile_count(grid))
         return super()._write(grid, total, seen)
 
 
