@@ -24,8 +24,8 @@ from ..view.camera import Camera
 from ..view.frame import PART_NAMES
 from .loss import FrameGradient, column_sums
 
-#: Splats of all views that are drawn at once, of which each takes some 150 bytes.
-MAX_DRAWN = 1 << 23
+#: Splats of all views that are drawn at once, of which each takes some 150 bytes, and 60 for each tile that it touches.
+MAX_DRAWN = 1 << 22
 
 
 class SplatBackward:
