@@ -137,13 +137,33 @@ def has_floats(kind):
     return getattr(kind, "_wp_scalar_type_", getattr(kind, "dtype", kind)) in (float, wp.float32, wp.float64)
 
 
+class BuiltOnce:
+    """Functions that Warp has read, each once: without this it reads them again where others call them."""
+
+    options, deferred_functions = {"output_arch": None}, []
+
+    def __init__(self):
+        self.functions = {}
+
+    def build_function(self, function):
+        self.functions[function] = None
+        function.build(self)
+
+    def build_struct_recursive(self, struct):
+        """Nothing is written of them."""
+
+
+BUILT = BuiltOnce()
+
+
 def gives_whole_numbers(key):
     function = function_of(key)
     function = next(iter((function.user_overloads or function.user_templates).values()))
     if any(kind is typing.Any or getattr(kind, "dtype", None) is typing.Any for kind in function.input_types.values()):
         return all(ast.unparse(each.value) in ("True", "False") for each in ast.walk(functions()[key])
                    if isinstance(each, ast.Return))  # fmt: skip
-    function.build(None, function.module.options | {"output_arch": None})
+    BUILT.options = function.module.options | {"output_arch": None}
+    BUILT.build_function(function)
     results = [var.type for var in function.adj.return_var or ()]
     return bool(results) and not any(map(has_floats, results))
 
