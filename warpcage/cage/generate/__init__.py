@@ -22,7 +22,7 @@ from ...mesh.validity import first_problem, require_usable
 from ...select.planes import Plane
 from ...select.selection import visible_nodes
 from .decimate import Sizing, progressive_hull, relative_sizes
-from .distance import ObjectShell, ObjectVoxels, bounds_of
+from .distance import ObjectShell, ObjectVoxels, bounds_of, one_a_cell
 from .fit import cleared, face_samples, row_sums
 from .focus import focused
 from .mirror import nearest_mirror, reflected
@@ -202,9 +202,7 @@ def cage_around_mesh(
     sizing = sizing or focused(focus, finer, size, points)
     slack = 0.29 * spacing  # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
     if len(points) > _MAX_POINTS:  # long, narrow faces: a point stands for those less than a diagonal away
-        cell = np.floor((points - bounds_of(points)[0]) / (0.1 * spacing)).astype(np.int64)
-        # numbered row by row: sorted in a fraction of the time of rows of three
-        _, one = np.unique(np.ravel_multi_index(tuple(cell.T), tuple(bounds_of(cell)[1] + 1)), return_index=True)
+        one = one_a_cell(points, 0.1 * spacing)
         points, slack = points[one], slack + np.sqrt(3.0) * 0.1 * spacing
     options = _CageOptions(method, symmetry, detail, sizing, faces)
     return _cage_around_points(points, spacing, slack, margin, vertex_count, options, progress)

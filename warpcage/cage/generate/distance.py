@@ -264,6 +264,13 @@ def bounds_of(points: np.ndarray) -> np.ndarray:
     return np.array([[column.min() for column in points.T], [column.max() for column in points.T]])
 
 
+def one_a_cell(points: np.ndarray, side: float) -> np.ndarray:
+    """Indices of one of points (n, 3) in each cube of such a side that holds any."""
+    cell = np.floor((points - bounds_of(points)[0]) / side).astype(np.int64)
+    # numbered row by row: sorted in a fraction of the time of rows of three
+    return np.unique(np.ravel_multi_index(tuple(cell.T), tuple(bounds_of(cell)[1] + 1)), return_index=True)[1]
+
+
 def first_of_each(numbers: np.ndarray, count: int) -> np.ndarray:
     """Index of the first of each of the numbers (n,), 0 to count - 1, in the order of the numbers."""
     first = np.full(count, -1)

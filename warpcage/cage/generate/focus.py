@@ -14,9 +14,13 @@ from ...errors import InputError
 from ...mesh.mesh import ClosedMesh
 from ...select.selection import NodeSelection, visible_nodes
 from .decimate import Sizing
+from .distance import one_a_cell
 
 #: Shares of the object's size: how far about points edges are shortest, and over which distance they grow.
 _NEAR, _GROWTH = 0.05, 0.15
+
+#: The same of cells: of points that lie denser, one in each says what its neighbors do.
+_CELL = 0.1 * _NEAR
 
 #: Least deviation from rigid that counts as bending, as a share of the edges about a vertex.
 _MIN_BEND = 1e-3
@@ -35,6 +39,7 @@ def focused(focus: Any, finer: float, size: float, points: np.ndarray) -> Sizing
     finer = checked_number(finer, "finer", 1.0, MAX_FINER)
     if focus is None:
         return None
+    points = points[one_a_cell(points, _CELL * size)]
     shares = (_bent(_poses(focus)) if _has_poses(focus) else _near(_points(focus), size))(points)
     if not shares.any():
         raise InputError("the focus is nowhere near the object: give it in the object's world units")
