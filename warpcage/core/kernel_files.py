@@ -109,6 +109,7 @@ def kernel_source(name: str) -> str:
     return (FOLDER / f"{name}.py").read_text(encoding="utf-8")
 
 
+@functools.cache
 def kernel_summary(name: str) -> str:
     """The first sentence, or line, of a kernel file's docstring."""
     return (ast.get_docstring(ast.parse(kernel_source(name))) or "").partition("\n")[0]
@@ -134,13 +135,23 @@ def _lone_readme(group: str, names: list[str]) -> str:
     text = f"{title}{_LONE}Without `--alone` what runs them comes along, with an example.\n"
     for name in names:
         text += f"\n`{_stem(name)}.py`: {kernel_summary(name)}\n\n"
-        functions = [node for node in ast.walk(ast.parse(kernel_source(name))) if isinstance(node, ast.FunctionDef)]
-        for node in functions:  # kernels, and what the call takes
-            is_kernel = any("wp.kernel" in ast.unparse(each) for each in node.decorator_list)
-            if is_kernel or f"import {node.name}\n" in kernel_call(group):
-                parameters = ", ".join(each.arg for each in node.args.args)
-                text += f"- `{node.name}({parameters})`: {' '.join((ast.get_docstring(node) or '').split())}\n"
+        for function, is_kernel, line in _described(name):  # kernels, and what the call takes
+            if is_kernel or f"import {function}\n" in kernel_call(group):
+                text += line
     return text
+
+
+@functools.cache
+def _described(name: str) -> list[tuple[str, bool, str]]:
+    """The functions of a kernel file: their names, whether they are kernels, and their lines in a README."""
+    found = []
+    for node in ast.walk(ast.parse(kernel_source(name))):
+        if isinstance(node, ast.FunctionDef):
+            is_kernel = any("wp.kernel" in ast.unparse(each) for each in node.decorator_list)
+            parameters = ", ".join(each.arg for each in node.args.args)
+            line = f"- `{node.name}({parameters})`: {' '.join((ast.get_docstring(node) or '').split())}\n"
+            found.append((node.name, is_kernel, line))
+    return found
 
 
 def _call_imports(group: str) -> set[str]:
