@@ -17,6 +17,7 @@ from splat_scenes import scene_of, splats_in_box
 import warpcage
 from warpcage import Cage, Deformer, PositionMap
 from warpcage.core import COORDINATES
+from warpcage.deform import exact
 
 STEPS = 2  #: the second one finds graphs and recorded launches of the first
 COUNT = len(BOX.vertices)
@@ -59,7 +60,8 @@ def simulated(device, work=None):
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
     """What the calls need, on each device: made outside of any tape."""
-    held = {}
+    held, patch = {}, pytest.MonkeyPatch()
+    patch.setattr(exact, "GUIDE_RESOLUTION", 24)  # a finer guide takes most of the time
 
     def on(device):
         if device not in held:
@@ -89,7 +91,8 @@ def world(tmp_path_factory):
             }
         return held[device]
 
-    return on
+    yield on
+    patch.undo()
 
 
 def saved(world, item, name):
