@@ -16,15 +16,16 @@ PROGRAM = """
     from warpcage.core import reports
     from warpcage.core.devices import launch
     from warpcage.core.modules import load_modules
-    from warpcage.kernels.field import refine
+    from warpcage.kernels.view import pictures
 
+    wp.config.use_precompiled_headers = False  # which take longer to make than a small module
     reports.on_compiling = lambda: print("first")
-    load_modules([refine], "cpu")
+    load_modules([pictures], "cpu")
     assert (reports.on_compiling is None) == {said}
     reports.on_compiling = lambda: print("second")
-    ones, singles = (wp.full((4, 3), value, dtype=kind, device="cpu") for value, kind in ((1, wp.float16), (0, float)))
-    launch(refine.widen_rows, 4, [ones], [singles], device="cpu")
-    assert (singles.numpy() == 1).all()
+    source, joined = wp.array([1.0, 2.0, 3.0, 6.0], dtype=float, device="cpu"), wp.zeros(1, float, device="cpu")
+    launch(pictures.average_values, 1, [2, 1, source], [joined], device="cpu")
+    assert joined.numpy()[0] == 3.0
 """
 
 

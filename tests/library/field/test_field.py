@@ -9,6 +9,7 @@ from refusals import refused
 
 import warpcage
 from warpcage.core import launch
+from warpcage.deform import exact
 from warpcage.field import harmonics_on_device, harmonics_on_host
 from warpcage.kernels.field import harmonics as spherical_harmonics
 from warpcage.kernels.field import refine
@@ -56,8 +57,9 @@ def test_halves_stay_halves_on_a_gpu(device, shape):
 
 
 @oracle.both_kinds
-def test_harmonics_of_files_are_the_same_as_halves_and_as_single(numbers, device, tmp_path):
+def test_harmonics_of_files_are_the_same_as_halves_and_as_single(numbers, device, tmp_path, monkeypatch):
     """A GPU holds the halves of a file until someone asks for the grid; nothing that is seen or saved changes then."""
+    monkeypatch.setattr(exact, "GUIDE_RESOLUTION", 32)  # a finer guide takes most of the time
     made, _, _ = oracle.random_field(device, numbers=numbers)
     made.save(tmp_path / "made.npz")
     field = warpcage.VoxelField.load(tmp_path / "made.npz", device=device)
