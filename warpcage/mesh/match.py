@@ -9,7 +9,8 @@ import numpy as np
 
 from ..core.arrays import is_device_array
 from ..errors import InputError
-from .mesh import ClosedMesh, Mesh, connected_parts, require_mesh
+from .mesh import ClosedMesh, Mesh, MeshTopology, connected_parts, require_mesh
+from .patches import edges_of
 from .surface import PolygonFaces
 
 
@@ -59,6 +60,9 @@ _WALKS = 256
 #: The best match must have moved the vertices less than this share of what the second best has.
 _CLEARLY_BETTER = 0.98
 
+#: A pose moves the vertices that it has in the cage's order by less than this share of what another order would.
+_BY_CHANCE = 0.05
+
 
 def matched_vertices(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
     """The vertices (v, 3) float64 of a pose in the order of its rest mesh; unused ones of `rest` stay where they are.
@@ -78,31 +82,71 @@ def _are_same(rest: ClosedMesh, deformed: ClosedMesh) -> bool:
         return True
     if one is not None and two is not None:
         return one.same_as(two)
-    if one is not None:
-        return _is_cut(one, deformed.faces)
-    return two is not None and _is_cut(two, rest.faces)
+    return _same_polygons(rest, deformed)
 
 
-def _is_cut(polygons: PolygonFaces, triangles: np.ndarray) -> bool:
-    """Whether triangles are polygons cut along any diagonals: they have all of their edges, and others in pairs."""
-    count = polygons.vertex_count
-    start, end = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1)
-    keys, (first, second, _) = start * count + end, polygons.fanned().T
-    others = ~np.isin(keys, first * count + second)
-    return (
-        len(triangles) == len(polygons.triangles)
-        and bool(np.isin(first * count + second, keys).all())
-        and np.array_equal(np.sort(keys[others]), np.sort((end * count + start)[others]))
+def _same_polygons(one: ClosedMesh, two: ClosedMesh) -> bool:
+    """Whether one of two meshes has polygons, which the other has in any order, whole or cut along any diagonals."""
+    return any(
+        outer.polygon_faces is not None and _are_cut(outer.polygon_faces, inner)
+        for outer, inner in ((one, two), (two, one))
     )
+
+
+def _are_cut(polygons: PolygonFaces, mesh: ClosedMesh) -> bool:
+    """Whether the faces of a mesh of the same vertices are polygons, whole or cut along any diagonals."""
+    if polygons.triangles.shape != mesh.faces.shape:
+        return False
+    count, (first, second, _) = polygons.vertex_count, polygons.fanned().T
+    start, end, owner = edges_of(mesh, np.arange(mesh.face_count))
+    keys, outline = start * count + end, first * count + second
+    order = np.argsort(outline)
+    place = order[np.minimum(np.searchsorted(outline[order], keys), len(outline) - 1)]
+    on_outline = outline[place] == keys
+    diagonals, back = keys[~on_outline], (end * count + start)[~on_outline]
+    one, two = np.argsort(diagonals), np.argsort(back)
+    if not np.isin(outline, keys).all() or not np.array_equal(diagonals[one], back[two]):
+        return False
+    # what diagonals hold together is a polygon: its outline is that of one, and there are as many
+    across = owner[~on_outline]
+    part, parts = connected_parts(mesh.face_count, across[one], across[two])
+    pairs = np.unique(np.stack([part[owner[on_outline]], polygons.owner[place[on_outline]]], axis=1), axis=0)
+    return len(pairs) == parts == len(polygons.sizes)
 
 
 def matched_order(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
     """(v,) numbers of a pose's vertices in the order of its rest mesh, -1 for unused ones; errors as above."""
     # Also accepts faces in another order or begun at another corner, quads cut along other diagonals, and vertices in
     # any order or repeated at one place, as programs write that store one normal for each corner.
-    same_count = len(rest.vertices) == len(pose.vertices)
-    if same_count and (_are_same(rest, pose) or same_patches(rest.faces, pose.faces)):
-        return np.arange(len(pose.vertices))
+    own, same_count = np.arange(len(pose.vertices)), len(rest.vertices) == len(pose.vertices)
+    polygons = rest.polygon_faces is not None or pose.polygon_faces is not None
+    if same_count and (
+        np.array_equal(rest.faces, pose.faces)
+        or (_same_polygons(rest, pose) if polygons else _same_triangles(rest, pose))
+    ):
+        return own
+    # triangles say little of the quads that they were: what fits by chance moves the vertices farther
+    in_place = same_count and not polygons and _same_patches(rest, pose)
+    try:
+        order = _found_order(rest, pose)
+    except InputError:
+        if in_place:
+            return own
+        raise
+    if same_count:
+        here, there = (float(((in_order(rest, pose.vertices, k) - rest.vertices) ** 2).sum()) for k in (own, order))
+        if in_place and here <= there:
+            return own
+        if here < _BY_CHANCE * there:
+            raise InputError(
+                "the pose has the cage's vertices in their order, but other faces between them: save both with the "
+                "same faces"
+            )
+    return order
+
+
+def _found_order(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
+    """`matched_order` by what is connected to what."""
     vertices, faces = pose.vertices, pose.faces.astype(np.int64)
     repeats = _used_count(faces) > _used_count(rest.faces)
     if repeats:
@@ -116,6 +160,11 @@ def matched_order(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
         order = _correspondence(_Mesh.of(rest.vertices, rest.faces), _Mesh.of(vertices, faces))
     else:  # without diagonals, which depend on the corner that a face begins at
         order = _correspondence(_fanned(rest, rest.polygon_faces), _fanned(pose, pose.polygon_faces, repeats))
+    if order is None and (rest.polygon_faces is None) != (pose.polygon_faces is None):
+        raise InputError(
+            "the pose is another mesh than the cage, or has its vertices in another order and its quads cut otherwise: "
+            "save it with the faces of the cage, or with its vertices in the cage's order"
+        )
     if order is None:
         raise InputError(f"the pose {_difference(rest, vertices, faces)}")
     matched = np.full(len(rest.vertices), -1)
@@ -124,16 +173,23 @@ def matched_order(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
     return matched
 
 
-def same_patches(one: np.ndarray, two: np.ndarray) -> bool:
-    """Whether faces of the same vertices cover the same polygons: equal but for order and for diagonals."""
-    if one.shape != two.shape:
+def _same_triangles(one: ClosedMesh, two: ClosedMesh) -> bool:
+    """Whether triangles of the same vertices are the same but for their order and the corner that each begins at."""
+    return one.faces.shape == two.faces.shape and not len(_cut(one.faces, two.faces)) + len(_cut(two.faces, one.faces))
+
+
+def _same_patches(rest: ClosedMesh, pose: ClosedMesh) -> bool:
+    """Whether triangles of the same vertices cover the same polygons: equal but for order and for diagonals."""
+    if rest.faces.shape != pose.faces.shape:
         return False
-    left, right = _cut(one, two), _cut(two, one)
+    left, right = _cut(rest.faces, pose.faces), _cut(pose.faces, rest.faces)
     outline = _outline(left)
     if len(left) != len(right) or not np.array_equal(outline, _outline(right)):
         return False
     # a vertex within a patch could be that of another: only polygons, whose vertices all lie on their outline
-    return bool(np.isin(left, outline).all() and np.isin(right, outline).all())
+    on_outline = np.isin(left, outline).all() and np.isin(right, outline).all()
+    parts = MeshTopology(len(rest.vertices), left).part_count  # a ring, which may fit by chance, has an edge a triangle
+    return bool(on_outline) and len(left) == len(outline) - 2 * parts
 
 
 def _cut(faces: np.ndarray, others: np.ndarray) -> np.ndarray:

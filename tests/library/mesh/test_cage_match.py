@@ -1,4 +1,5 @@
 import functools
+import itertools
 
 import numpy as np
 import pytest
@@ -57,6 +58,48 @@ def test_other_diagonals_of_the_same_quads_are_the_same_cage():
     faces[0], faces[1] = (a[0], a[1], b[2]), (a[1], a[2], b[2])
     posed = rest.bend(30)
     assert np.array_equal(rest.match(Cage(posed.vertices, faces)).vertices, posed.vertices)
+
+
+#: A cube, vertex x + 2 y + 4 z at (x, y, z), and its sides.
+CUBE = np.stack([np.arange(8) & 1, np.arange(8) >> 1 & 1, np.arange(8) >> 2], axis=1).astype(float)
+SIDES = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_what_fits_in_place_by_chance_does_not_hide_the_order(cut):
+    """Of cubes whose vertices come in another order a few have, by their numbers, some sides at another place: what is
+    between these looked like polygons that are cut otherwise."""
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        order, places = rng.permutation(8), CUBE + rng.normal(0.0, 0.06, (8, 3))
+        rest = Cage(CUBE, SIDES)
+        rest = Cage(CUBE, rest.faces) if cut else rest
+        posed = Cage(places[order], [np.argsort(order)[list(face)] for face in rest.polygons])
+        assert np.array_equal(rest.match(posed).vertices, places), seed
+
+
+@pytest.mark.parametrize("sides", [1, 3, 6])
+def test_polygons_that_are_cut_in_part_are_taken_in_place(sides):
+    """From either end: a cage of quads, and the same with some of them cut."""
+    quads, places = Cage(CUBE, SIDES), CUBE + np.random.default_rng(1).normal(0.0, 0.1, (8, 3))
+    cut = [half for a, b, c, d in SIDES[:sides] for half in ((b, c, d), (d, a, b))]
+    some = Cage(places, [*SIDES[sides:], *cut])
+    assert np.array_equal(quads.match(some).vertices, places)
+    assert np.array_equal(some.match(quads.with_vertices(places * 2.0)).vertices, places * 2.0)
+
+
+def test_diagonals_that_fit_another_order_by_chance_move_nothing():
+    """Each of the 64 ways to cut a cube's sides: some of them are the cage itself turned, which no vertex has done."""
+    rest = Cage(CUBE, Cage(CUBE, SIDES).faces)
+    said = set()
+    for turns in itertools.product((0, 1), repeat=6):
+        pose = Cage(CUBE, Cage(CUBE, [np.roll(side, k) for side, k in zip(SIDES, turns, strict=True)]).faces)
+        try:
+            assert np.array_equal(rest.match(pose).vertices, CUBE), turns
+        except ValueError as error:
+            said.add("in their order, but other faces" in str(error))
+    assert said == {False, True}
+    refused(lambda: Cage(CUBE, SIDES).match(shuffled_cage(pose, 3)), "its quads cut otherwise")
 
 
 def test_a_tie_is_refused():
