@@ -15,8 +15,8 @@ MAX_CORNERS = 4096
 
 def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int, int]]:
     """Triangles over a polygon of n of the vertices (v, 3), wound as it is: n - 2 times three indices of vertices."""
-    # The fan from its first vertex where no triangle of it looks backward (by order alone), or where there is no area;
-    # else ears are cut off, the best shaped first (Meisters 1975), in the plane that fits the polygon.
+    # The fan from its first vertex where the polygon is convex or has no area; else ears are cut off, the best shaped
+    # first (Meisters 1975), in the plane that fits the polygon, the same whatever vertex it begins at.
     fan = [(polygon[0], polygon[k], polygon[k + 1]) for k in range(1, len(polygon) - 1)]
     points = vertices[polygon] - vertices[polygon[0]]
     normal = 0.5 * np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)  # Newell 1972
@@ -25,7 +25,8 @@ def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int
         return fan
     normal /= length
     heights = _heights(vertices, np.array(fan), normal)
-    if (heights > 1e-9 * length).all():
+    turns = _heights(points, _turns(len(polygon)), normal)
+    if (heights > 1e-9 * length).all() and (turns > -1e-9 * length).all():
         return fan
     if len(polygon) > MAX_CORNERS:
         if (heights > 0.0).all():  # a disc of so many corners has slivers
@@ -34,7 +35,17 @@ def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int
             f"a face of {len(polygon)} corners is not convex, at most {MAX_CORNERS} are cut into triangles: cut it in "
             "the program that made it"
         )
-    return EarCutter(vertices[polygon], polygon, normal).cut()
+    first = int(np.lexsort(vertices[polygon].T)[0])
+    polygon = [*polygon[first:], *polygon[:first]]
+    points = vertices[polygon]
+    around = points - points[0]
+    normal = np.cross(around, np.roll(around, -1, axis=0)).sum(axis=0)  # summed in this order, to the last bit
+    return EarCutter(points, polygon, normal / np.linalg.norm(normal)).cut()
+
+
+def _turns(count: int) -> np.ndarray:
+    """(n, 3) places of the corner before each of a polygon, of itself, and of the one after it."""
+    return (np.arange(count)[:, None] + [-1, 0, 1]) % count
 
 
 def concave_polygons(vertices: np.ndarray, polygons: Sequence[Sequence[int]]) -> dict[int, list[tuple[int, int, int]]]:
@@ -48,6 +59,8 @@ def concave_polygons(vertices: np.ndarray, polygons: Sequence[Sequence[int]]) ->
         around = corners - corners[:, :1]
         normal = np.cross(around, np.roll(around, -1, axis=1)).sum(axis=1, keepdims=True)
         backward = (np.cross(around[:, 1:-1], around[:, 2:]) * normal).sum(axis=2).min(axis=1) <= 0.0
+        before, here, after = np.moveaxis(around[:, _turns(size)], 2, 0)
+        backward |= (np.cross(here - before, after - here) * normal).sum(axis=2).min(axis=1) < 0.0
         fan = [(0, k, k + 1) for k in range(1, size - 1)]
         cuts = {int(k): cut_polygon(corners[k], list(range(size))) for k in np.flatnonzero(backward)}
         found |= {numbers[k]: triangles for k, triangles in cuts.items() if triangles != fan}

@@ -203,6 +203,26 @@ def test_a_warped_dart_is_cut_at_its_notch_wherever_its_corners_begin(start, mir
     assert inside.tolist() == [True, False]
 
 
+@pytest.mark.parametrize("outline", ["L", "star", "comb"])
+def test_concave_faces_are_cut_alike_wherever_their_corners_begin(outline):
+    """So a pose is the same, though nothing says which of several cuts is right; that of the L is symmetric."""
+    turns, comb = np.arange(10) * np.pi / 5, [(0, 0), (5, 0), (5, 3), (4, 3), (4, 1), (3, 1), (3, 3), (0, 3)]
+    star = np.stack([np.cos(turns), np.sin(turns)], axis=1) * np.where(np.arange(10) % 2, 1.0, 0.4)[:, None]
+    corners = np.array({"L": [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], "star": star, "comb": comb}[outline])
+    n = len(corners)
+    vertices = np.concatenate([np.c_[corners, np.zeros(n)], np.c_[corners, np.ones(n)]])
+    sides = [(k, (k + 1) % n, (k + 1) % n + n, k + n) for k in range(n)]
+    found = set()
+    for start in range(n):
+        cage = Cage(vertices, [np.roll(np.arange(n)[::-1], start), n + np.roll(np.arange(n), start), *sides])
+        cage.require_usable()
+        assert {0, 1} <= set(cage.check().concave_faces)
+        found.add(frozenset(frozenset(face) for face in cage.faces.tolist()))
+    assert len(found) == 1
+    if outline == "L":  # triangles about its notch, 3, as far as they go
+        assert {frozenset(each) for each in ((3, 4, 5), (5, 0, 3), (0, 1, 3), (1, 2, 3))} <= next(iter(found))
+
+
 def test_points_between_a_patch_and_the_triangles_of_a_kind_are_told_which_they_are():
     cage = quad_box(2, 0.2)
     points = np.random.default_rng(0).uniform(*cage.bounds, (20000, 3))
