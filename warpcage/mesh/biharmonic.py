@@ -17,6 +17,9 @@ MAX_FACES = 2048
 #: Winding numbers farther from one are those of cages that pass through themselves.
 WINDING_SLACK = 1e-3
 
+#: Largest error that keeping layers in float32 makes at the middle of a face, as a share of the cage's size.
+MAX_ROUNDING = 1e-3
+
 
 def require_few_faces(count: int) -> None:
     """Refuse cages of too many triangles."""
@@ -56,7 +59,7 @@ class LayerEquations:
         """(3 f, 3): slopes (f, 3) as given, then Laplacians, then their slopes, for values (v, 3) at vertices."""
         given = np.concatenate([values, self._size * slopes])
         sides = np.concatenate([values[self._faces].mean(axis=1), self._size * slopes]) - self._known @ given
-        return np.concatenate([slopes, self._solved(sides)])
+        return np.concatenate([slopes, self._solved(sides, np.eye(3) / self._size)])
 
     def row_operator(self) -> np.ndarray:
         """(v + 3 f, u + f): what layers of vertices and faces multiply, from values at the u vertices that the others
@@ -68,13 +71,15 @@ class LayerEquations:
             sides[rows, self._faces[:, k]] += 1.0 / 3.0
         sides[count + rows, corners + rows] += 1.0
         sides[:, corners:] *= self._size
-        everything = np.concatenate([np.eye(corners + count), self._solved(sides)])
+        signs = np.resize([1.0, -1.0], corners + count) / np.repeat([1.0, self._size], (corners, count))
+        everything = np.concatenate([np.eye(corners + count), self._solved(sides, signs[:, None])])
         if self._cage.operator is None:
             return everything
         return np.concatenate([everything[:, :corners] @ self._cage.operator, everything[:, corners:]], axis=1)
 
-    def _solved(self, sides: np.ndarray) -> np.ndarray:
-        """Laplacians and their slopes (2 f, n) that leave nothing of right sides (2 f, n)."""
+    def _solved(self, sides: np.ndarray, shares: np.ndarray) -> np.ndarray:
+        """Laplacians and their slopes (2 f, n) that leave nothing of right sides (2 f, n).
+        shares: (n, k), sums of columns whose digits are looked at, as shares of the cage's size."""
         sides[self._without] = 0.0
         try:
             solved = np.linalg.solve(self._unknown, sides)
@@ -85,6 +90,12 @@ class LayerEquations:
                 "no biharmonic coordinates are found: faces of the cage lie on each other; take them apart"
             )
         count = len(self._faces)
+        lost = self._unknown[:count] @ (solved.astype(np.float32) @ shares) - sides[:count] @ shares
+        if not np.abs(lost).max(initial=0.0) <= MAX_ROUNDING:
+            raise InputError(
+                "biharmonic coordinates lose their digits: faces of the cage are too thin, or its sides too near each "
+                "other; make its faces more even, or take other coordinates"
+            )
         solved[:count] /= self._size**2
         solved[count:] /= self._size**3
         return solved

@@ -225,3 +225,32 @@ def test_cages_of_many_faces_are_refused():
     cage = Cage(*oracles.icosphere(4))
     act = functools.partial(deform_points, np.zeros((1, 3)), cage, cage, "biharmonic")
     refused(act, MESSAGES["coordinates.too_many_faces"].format(count=len(cage.faces)))
+
+
+@pytest.mark.parametrize("corners", [12, 200])
+def test_faces_too_thin_for_float32_are_refused(corners, device):
+    """Lids cut into fans: of 200 corners they are needles, and layers of 1e13 that should cancel moved points by a
+    million times the size. At rest nothing has to cancel."""
+    turns = np.arange(corners) * 2.0 * np.pi / corners
+    ring = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    lids = (
+        [(0, k + 1, k) for k in range(1, corners - 1)],
+        [(corners, corners + k, corners + k + 1) for k in range(1, corners - 1)],
+    )
+    after = np.roll(np.arange(corners), -1)
+    sides = np.stack([np.arange(corners), after, after + corners, np.arange(corners) + corners], axis=1)
+    faces = np.concatenate([*lids, sides[:, [0, 1, 2]], sides[:, [2, 3, 0]]])
+    cage = Cage(np.concatenate([np.c_[ring, 0.0 * turns], np.c_[ring, 0.0 * turns + 1.0]]), faces)
+    points, posed = [[0.1, 0.2, 0.5]], cage.vertices + np.random.default_rng(0).normal(0.0, 0.1, (2 * corners, 3))
+
+    def act():
+        return deform_points(points, cage, posed, "biharmonic", device=device)
+
+    np.testing.assert_allclose(deform_points(points, cage, cage, "biharmonic", device=device), points, atol=2e-5)
+    if corners > 12:
+        refused(act, "lose their digits")
+        refused(lambda: biharmonic_coordinates(points, cage, device=device), "lose their digits")
+    else:
+        vertex_weights, face_weights = biharmonic_coordinates(points, cage, device=device)
+        stretched = stretched_normals(cage, cage.with_vertices(posed))
+        np.testing.assert_allclose(act(), vertex_weights @ posed + face_weights @ stretched, atol=1e-4)
