@@ -56,6 +56,11 @@ class CoordinateKind:
         """Whether weights follow from a formula, and not from a solution on a lattice."""
         return self.map_points is not None
 
+    @property
+    def is_summed(self) -> bool:
+        """Whether weights are sums over all faces, whose denominators vanish or count twice in parts inside others."""
+        return self.is_closed_form and not self.is_iterative
+
     def load(self, field: str) -> Any:
         """The function, class or kernel that a field names."""
         path = getattr(self, field)

@@ -40,7 +40,7 @@ from ..mesh.match import posed_mesh, require_same_faces, with_faces_of
 from ..mesh.mesh import ClosedMesh, prepared_fans, prepared_quads, require_mesh
 from ..mesh.queries import SURFACE_TOLERANCE, inside_mesh
 from ..mesh.surface import CELLS
-from ..mesh.validity import require_usable, size_problem
+from ..mesh.validity import require_covered_once, require_usable, size_problem
 from .harmonic import HARMONIC_RESOLUTION, harmonic_weights
 
 
@@ -270,6 +270,8 @@ def deform_points(
     kind = coordinate_kind(coordinates)
     require_mesh(rest, "the rest cage must be")
     require_usable(rest, "rest cage")
+    if kind.is_summed:
+        require_covered_once(rest, kind.name, "rest cage")
     deformed = posed_mesh(rest, deformed, "the deformed cage must be")
     if not kind.is_closed_form:
         require_usable(deformed, "deformed cage")
@@ -417,6 +419,8 @@ def checked_points(
     """Points in the frame of a usable cage, the rows that have no coordinates, and the cage's surface."""
     require_mesh(cage, "the cage must be")
     require_usable(cage)
+    if kind.is_summed:
+        require_covered_once(cage, kind.name)
     outside, cage = _way_outside(outside, kind), cage.refined(kind.face_cells)
     local = _localise(points, cage, device)
     return local, _lost_rows(local, cage, kind, outside), cage

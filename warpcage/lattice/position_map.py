@@ -20,7 +20,7 @@ from ..kernels.lattice.cage_map import CageMap
 from ..mesh.faces import face_area
 from ..mesh.match import posed_mesh, require_same_faces, with_faces_of
 from ..mesh.mesh import ClosedMesh, require_mesh
-from ..mesh.validity import require_usable
+from ..mesh.validity import require_covered_once, require_usable
 from .gaps import REPORTED_JUMP, MapTarget, lattice_side_bytes, side_bytes
 from .graph import PoseGraph
 from .harmonic import require_tolerance
@@ -109,6 +109,8 @@ class PositionMap(HeldOnDevice):
         self.coordinates: str = self._kind.name
         require_mesh(rest, "the rest cage must be")
         require_usable(rest, "rest cage")
+        if self._kind.is_summed:
+            require_covered_once(rest, self.coordinates, "rest cage")
         self.rest = rest
         self._surface = rest.refined(self._kind.face_cells)
         self.resolution = require_resolution(resolution)

@@ -78,6 +78,20 @@ def inward_parts(mesh: ClosedMesh) -> np.ndarray:
     return np.asarray(wrong, dtype=np.int64)
 
 
+def doubled_parts(mesh: ClosedMesh) -> np.ndarray:
+    """Connected parts (k,) of a usable mesh, ascending, that look outward and lie within others that do."""
+    if mesh.topology.part_count == 1:
+        return np.zeros(0, np.int64)
+    surface, doubled = mesh.surface, []
+    parts = surface.topology.parts
+    for part in np.flatnonzero(mesh.part_volumes() > 0.0):
+        others = surface.faces[parts != part]
+        corners = surface.vertices[np.unique(surface.faces[parts == part])]
+        if all((winding_numbers(each, surface.vertices, others) > 0.5).all() for each in (corners[:1], corners)):
+            doubled.append(part)
+    return np.asarray(doubled, dtype=np.int64)
+
+
 def _flat_parts(mesh: ClosedMesh, volumes: np.ndarray) -> np.ndarray:
     """Which connected parts of these volumes, (k,) bool, are so thin that rounding decides the sign of their volume."""
     u, v = face_edges(mesh.surface)
@@ -174,3 +188,14 @@ def _known_problem(mesh: ClosedMesh) -> str:
     if problem is None:
         problem = _known_problems[mesh] = first_problem(mesh)
     return problem
+
+
+def require_covered_once(mesh: ClosedMesh, kind: str, name: str = "cage") -> None:
+    """Refuse a usable mesh with a part within another, for a kind of coordinates that sums over all faces."""
+    doubled = doubled_parts(mesh)
+    if len(doubled):
+        face = int(np.flatnonzero(mesh.topology.parts == doubled[0])[0])
+        raise InputError(
+            f"{name} has parts inside each other that both look outward, the first with face {face}: {kind} "
+            "coordinates do not hold there; remove it, flip its faces to make it a cavity, or take harmonic ones"
+        )

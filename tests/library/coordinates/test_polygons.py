@@ -4,7 +4,9 @@ import numpy as np
 import oracles
 import pytest
 from polygon_cages import concave_prism, mixed_prism, patch_rows, quad_box, quad_cube, triangulated
+from refusals import refused
 
+import warpcage
 from warpcage import Cage, PositionMap, deform_points, green_coordinates, harmonic_coordinates, mean_value_coordinates
 from warpcage.coordinate_kinds import COORDINATE_KINDS
 from warpcage.coordinates import stretched_normals
@@ -182,3 +184,24 @@ def test_rebinding_a_pose_gives_the_map_of_the_other_rest_cage(device):
         assert held.weights.blocks[0][1].shape[1] == len(cage.vertices)
         expected, _ = oracles.look_up(PositionMap(other, **options).pose(posed), points)
         np.testing.assert_allclose(oracles.look_up(held.rebind(other), points)[0], expected, atol=5e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_parts_within_parts_are_cavities_or_refused(kind, device):
+    """Between two shells that both look outward mean value weights have poles, and within both Green's count twice."""
+    cube = quad_cube()
+    vertices = np.concatenate([cube.vertices, 0.5 * cube.vertices])
+    faces = np.array(cube.polygons)
+    cavity, doubled = (Cage(vertices, [*faces, *inner]) for inner in (faces[:, ::-1] + 8, faces + 8))
+    posed, points = vertices + np.random.default_rng(5).normal(0.0, 0.01, vertices.shape), points_in(cavity)
+    moved = deform_points(points, cavity, posed, kind, device=device)
+    assert np.linalg.norm(moved - points, axis=1).max() < 0.1
+    if kind in ("harmonic", "maximum_likelihood"):
+        assert np.abs(deform_points(points, doubled, posed, kind, device=device) - points).max() < 0.1
+        return
+    for act in (
+        lambda: deform_points(points, doubled, posed, kind, device=device),
+        lambda: PositionMap(doubled, coordinates=kind, device=device),
+        lambda: getattr(warpcage, f"{kind}_coordinates")(points, doubled, device=device),
+    ):
+        refused(act, "parts inside each other that both look outward, the first with face 6")
