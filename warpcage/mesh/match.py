@@ -40,13 +40,12 @@ def require_same_faces(rest: ClosedMesh, deformed: ClosedMesh) -> None:
         matched_vertices(rest, deformed)
     except ValueError as error:
         raise InputError(str(error).replace("the pose", "the deformed cage", 1)) from None
-    if same_count and np.array_equal(
-        np.unique(np.sort(rest.faces, axis=1), axis=0), np.unique(np.sort(deformed.faces, axis=1), axis=0)
-    ):
-        first = int(np.flatnonzero((rest.faces != deformed.faces).any(axis=1))[0])
+    if same_count and (_same_triangles(rest, deformed) or _same_polygons(rest, deformed)):
+        pairs = enumerate(zip(rest.polygons, deformed.polygons, strict=False))
+        first, own, other = next((k, list(one), list(two)) for k, (one, two) in pairs if one != two)
         raise InputError(
             f"the deformed cage has the rest cage's faces in another order, from face {first} "
-            f"({deformed.faces[first].tolist()}, not {rest.faces[first].tolist()}): pass rest.match(deformed)"
+            f"({other}, not {own}): pass rest.match(deformed)"
         )
     what = f"faces on {len(deformed.vertices)} vertices, not on {len(rest.vertices)}"
     if same_count:
@@ -329,14 +328,17 @@ def _correspondence(rest: _Mesh, pose: _Mesh) -> np.ndarray | None:
         walk = _walk(rest, np.flatnonzero(rest.part == part))
         for other in range(pose.part_count):
             if np.count_nonzero(pose.part == other) == len(walk[0]):
-                found += [(cost, part, other, images) for cost, images in _replayed(rest, pose, walk, other)]
+                found += [(*costs, part, other, images) for costs, images in _replayed(rest, pose, walk, other)]
     found.sort(key=lambda each: each[0])  # parts take their best partner, the surest first
     taken, partner = set(), {}
-    for cost, part, other, images in found:
+    for cost, unlike, part, other, images in found:
         if part in partner or other in taken:
             continue
-        runner = [each[0] for each in found if each[1] == part and each[3] is not images and each[2] not in taken]
-        if runner and cost >= _CLEARLY_BETTER * min(runner):
+        rest_of = [each for each in found if each[2] == part and each[4] is not images and each[3] not in taken]
+        ties = [cost >= _CLEARLY_BETTER * each[0] for each in rest_of if each[3] != other]
+        # laid over one part, a move or a scale of all is the same in each way
+        ties += [unlike >= _CLEARLY_BETTER * each[1] for each in rest_of if each[3] == other]
+        if any(ties):
             raise InputError(
                 "the pose fits the cage in several ways that move its vertices equally far: save it with "
                 "its vertices in the cage's order"
@@ -371,8 +373,9 @@ def _walk(mesh: _Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _replayed(
     rest: _Mesh, pose: _Mesh, walk: tuple[np.ndarray, np.ndarray], part: int
-) -> list[tuple[float, tuple[np.ndarray, np.ndarray]]]:
-    """(cost, (vertices, images)) of each way to lay the walk over a part of the pose; cost: squared displacement."""
+) -> list[tuple[tuple[float, float], tuple[np.ndarray, np.ndarray]]]:
+    """(costs, (vertices, images)) of each way to lay the walk over a part of the pose; costs: squared displacement, and
+    how unlike the two are, 0 to 2, wherever and however large they are."""
     entered, origin = walk
     corners = _corners(entered)
     trail = rest.faces.reshape(-1)[corners].reshape(-1)
@@ -398,7 +401,10 @@ def _replayed(
         well &= (np.diff(np.sort(images, axis=1), axis=1) > 0).all(axis=1)
         for row in images[well]:
             cost = float(((pose.vertices[row] - rest.vertices[vertices]) ** 2).sum())
-            found.append((cost, (vertices, row)))
+            one, two = (each - each.mean(axis=0) for each in (pose.vertices[row], rest.vertices[vertices]))
+            lengths = np.linalg.norm(one) * np.linalg.norm(two)
+            unlike = 1.0 - float((one * two).sum() / lengths) if lengths > 0.0 else 1.0
+            found.append(((cost, unlike), (vertices, row)))
     return found
 
 

@@ -102,6 +102,22 @@ def test_diagonals_that_fit_another_order_by_chance_move_nothing():
     refused(lambda: Cage(CUBE, SIDES).match(shuffled_cage(pose, 3)), "its quads cut otherwise")
 
 
+@pytest.mark.parametrize(("scale", "away"), [(100.0, 0.0), (1e-3, 0.0), (1.0, 500.0), (30.0, 500.0)])
+def test_poses_in_another_unit_or_far_away_are_matched(scale, away):
+    """All ways to lay a box over itself move it as far then, but one of them is still like it."""
+    rest = Cage.box([0, 0, 0], [1, 1, 1], segments=2)
+    posed = rest.bend(20)
+    posed = posed.with_vertices(posed.vertices * scale + away)
+    assert np.array_equal(rest.match(shuffled_cage(posed, 2)).vertices, posed.vertices)
+
+
+def test_quads_that_begin_elsewhere_are_called_that():
+    quads = Cage(CUBE, SIDES)
+    turned = Cage(CUBE, [SIDES[0], *(np.roll(side, 1) for side in SIDES[1:])])
+    refused(lambda: require_same_faces(quads, turned), match="in another order, from face 1")
+    assert np.array_equal(quads.match(turned).vertices, CUBE)
+
+
 def test_a_tie_is_refused():
     rest = Cage.box([-1, -1, -1], [1, 1, 1])
     point = Cage(np.zeros((8, 3)) + [5.0, 0, 0], shuffled_cage(rest).faces)
