@@ -157,6 +157,7 @@ def test_binary_ply_of_another_writer(tmp_path, order):
         ("c.ply", "ply\nformat text 1.0\n", "c.ply:2: unknown PLY format"),
         ("c.ply", PLY.replace("4 0 1 2 3 7\n", ""), "1 PLY elements 'face' announced, 0 found"),
         ("c.ply", PLY.replace("4 0 1 2 3 7", "4 0 1"), "c.ply:21: too few numbers"),
+        ("c.ply", PLY.replace("4 0 1 2 3 7", "4 0.5 1 2 3 7"), "c.ply:21: a face needs whole numbers, got 0.5, 1.0"),
         ("c.ply", PLY.replace("property float z\n", ""), "need properties x, y, z"),
         ("c.stl", "solid\n", "must end in .obj, .ply, .off, .glb, .gltf, .usd, .usdc or .usda"),
     ],

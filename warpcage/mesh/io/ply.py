@@ -78,7 +78,7 @@ def _read(
             column = next((k for k, each in enumerate(names) if each in ("vertex_indices", "vertex_index")), None)
             if column is None or isinstance(values, np.ndarray) or not isinstance(properties[column][1], tuple):
                 raise InputError(f"{path}: PLY faces need a list property vertex_indices, got {listed(names)}")
-            polygons = [(line, [int(index) for index in row[column]]) for line, row in values]
+            polygons = [(line, _whole_numbers(row[column], path, line)) for line, row in values]
         if name == colored and channels and set(channels) <= set(names):
             colors = _element_colors(path, channels, name, properties, values)
     if vertices is None:
@@ -89,6 +89,17 @@ def _read(
         polygons = [(line, [int(number[k]) if 0 <= k < count else k for k in polygon]) for line, polygon in polygons]
         vertices = vertices[kept]
     return vertices, polygons, colors
+
+
+def _whole_numbers(indices: list[float], path: pathlib.Path, line: int | str) -> list[int]:
+    """The indices of a face, which text and lists of floats may have with a point."""
+    try:
+        found = [int(index) for index in indices]
+    except (OverflowError, ValueError):  # of what is not finite
+        found = []
+    if found != indices:
+        raise InputError(f"{path}:{line}: a face needs whole numbers, got {listed(indices, 4)}")
+    return found
 
 
 #: Properties of a vertex by which programs split it, along seams and at sharp edges: texture coordinates and normals.
