@@ -56,7 +56,7 @@ def test_obj_with_polygons_negative_indices_and_materials(tmp_path):
     (tmp_path / "c.obj").write_text(OBJ)
     cage = Cage.load(tmp_path / "c.obj")
     assert cage.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1]]
-    assert cage.faces.tolist() == [[0, 1, 2], [0, 2, 3], [3, 2, 1], [3, 1, 0], [4, 3, 0], [0, 1, 4]]
+    assert cage.faces.tolist() == [[0, 1, 2], [0, 2, 3], [3, 2, 1], [3, 1, 0], [0, 4, 3], [0, 1, 4]]
 
 
 @pytest.mark.parametrize("ending", ["obj", "off"])
