@@ -63,6 +63,8 @@ def folder(tmp_path_factory):
         table.save(root / f"{name}.npz")
     cage = warpcage.Cage.box((-0.9, -0.9, -0.9), (0.9, 0.9, 0.9))
     cage.save(root / "cage.obj")
+    cage.twist(20).save(root / "posed_cage.obj")
+    warpcage.Cage.icosphere((0, 0, 0), 0.5).save(root / "model.obj")
     warpcage.Cage.box((-0.9, -0.9, -0.9), (-0.1, 0.9, 0.9)).save(root / "arm.obj")
     warpcage.Cage.box((0.1, -0.9, -0.9), (0.9, 0.9, 0.9)).save(root / "cab.obj")
     warpcage.PoseFile(cage, [("bent", cage.twist(20).vertices)]).save(root / "poses.json")
