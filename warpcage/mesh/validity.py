@@ -154,8 +154,9 @@ def first_geometric_problem(mesh: ClosedMesh) -> str:
     degenerate = degenerate_faces(mesh)
     if len(degenerate):
         return f"has degenerate faces: {len(degenerate)} without area, the first {degenerate[0]}: remove or widen them"
-    if len(coincident_vertices(mesh.surface)):
-        return "has faces of four or more corners whose middles are at one place: move them apart"
+    if len(pairs := coincident_vertices(mesh.surface)):
+        one, two = (faces_of(mesh, np.flatnonzero((mesh.surface.faces == k).any(axis=1))[:1])[0] for k in pairs[0])
+        return f"has faces that touch in the middle, or on their edges, the first {one} and {two}: move them apart"
     inward = inward_parts(mesh)
     if len(inward):
         face, volumes = int(np.flatnonzero(mesh.topology.parts == inward[0])[0]), mesh.part_volumes()

@@ -265,6 +265,15 @@ def test_faults_are_named_by_polygons():
     assert crossing.check().intersecting_faces
 
 
+def test_parts_that_touch_in_the_middle_of_faces_are_named():
+    """A small cube that stands on a large one: the middles of two faces are one place."""
+    small, large = quad_cube(), quad_cube().scale(2.0)
+    vertices = np.concatenate([large.vertices, small.vertices + (0.0, 0.0, 3.0)])
+    cage = Cage(vertices, [*large.polygons, *(tuple(np.array(face) + 8) for face in small.polygons)])
+    said = refused(lambda: cage.require_usable(), "touch in the middle")
+    assert "the first 1 and 6:" in said
+
+
 def test_repairs_keep_polygons():
     faces = [list(face) for face in CUBE_QUADS]
     turned = [faces[0], faces[1][::-1], *faces[2:]]
