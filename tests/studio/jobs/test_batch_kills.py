@@ -29,6 +29,7 @@ KILLS, KILLS_OF_DRIVERS = (2, 20), (1, 5)
 
 #: Ray's workers have a niceness of 15: beside other tests they would wait for minutes.
 OF_RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
+OF_RAY["RAY_prestart_worker_first_driver"] = "0"  # workers are started as they are asked for
 
 
 #: Tests of what is the same code for both; each of Ray's workers takes seconds to start.
