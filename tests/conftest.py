@@ -1,5 +1,7 @@
 """Fixtures: every device present, and the folder of real data where there is one; and how a run uses several cores."""
 
+import concurrent.futures
+import contextlib
 import gc
 import importlib
 import json
@@ -7,6 +9,7 @@ import os
 import pathlib
 import shutil
 import signal
+import tempfile
 
 # What is imported and collected stays for the whole run: looking through it for garbage, again and again, takes a
 # quarter of the time until the first test.
@@ -56,40 +59,76 @@ def pytest_xdist_auto_num_workers(config):
     return min((os.cpu_count() or 1) + MORE_THAN_CORES, most)
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist starts its workers
-def pytest_sessionstart(session):
+def compile_all(lock):
     """Compile all kernels and variants for the CPU before workers do, each of which would compile most of them."""
-    config = session.config
-    if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
-        return
-    if not (config.option.collectonly or config.option.markexpr) and config.args_source is config.ArgsSource.TESTPATHS:
-        from warpcage.core import kernel_names, kernel_source, load_modules
+    from warpcage.core import kernel_names, kernel_source, load_modules
 
+    try:
         names = [name.replace("/", ".") for name in kernel_names() if "@wp.kernel" in kernel_source(name)]
         files = [importlib.import_module(f"warpcage.kernels.{name}") for name in names]
         own = [file for file in files if wp.get_module(file.__name__).kernels]
         load_modules([*own, *(kernel for file in files for kernel in getattr(file, "variants", list)())], "cpu")
-    gc.enable()  # this process collects no tests
+    finally:
+        lock.release()
+        gc.enable()  # this process collects no tests
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist starts its workers
+def pytest_sessionstart(session):
+    """Kernels are compiled while workers collect, which wait for them then."""
+    config = session.config
+    if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
+        return
+    if not (config.option.collectonly or config.option.markexpr) and config.args_source is config.ArgsSource.TESTPATHS:
+        config.compiling = filelock.FileLock(f"{tempfile.mkdtemp()}/compiling.lock", thread_local=False)
+        config.compiling.acquire()
+        config.compiled = concurrent.futures.ThreadPoolExecutor(1).submit(compile_all, config.compiling)
+    else:
+        gc.enable()
+
+
+def pytest_sessionfinish(session):
+    if hasattr(session.config, "compiled"):
+        session.config.compiled.result()  # raises what ended it
+        shutil.rmtree(pathlib.Path(session.config.compiling.lock_file).parent)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node):
+    if hasattr(node.config, "compiling"):
+        node.workerinput["compiling"] = node.config.compiling.lock_file
+
+
+def one_after_another(config, what):
+    """Of workers, one at a time does this; other processes just do it."""
+    if not hasattr(config, "workerinput"):
+        return contextlib.nullcontext()
+    return filelock.FileLock(pathlib.Path(config.option.basetemp).parent / f"{what}.lock")
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_make_collect_report(collector):
     """One worker at a time imports a file of tests, as the first one compiles it for all: that takes longer than the
     rest of collecting. The others follow it through the files."""
-    if not isinstance(collector, pytest.Module) or not hasattr(collector.config, "workerinput"):
+    if not isinstance(collector, pytest.Module):
         return (yield)
-    of_all_workers = pathlib.Path(collector.config.option.basetemp).parent
-    with filelock.FileLock(of_all_workers / f"{collector.path.stem}.lock"):
+    with one_after_another(collector.config, collector.path.stem):
         return (yield)
 
 
-def pytest_collection_modifyitems(items):
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(config, items):
+    with one_after_another(config, "items"):  # Hypothesis looks for numbers in all sources, and keeps them for all
+        yield
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
-def pytest_collection_finish():
+def pytest_collection_finish(session):
     gc.freeze()
     gc.enable()
+    if "compiling" in getattr(session.config, "workerinput", {}):
+        with filelock.FileLock(session.config.workerinput["compiling"]):
+            pass  # kernels are compiled
 
 
 @pytest.fixture(params=["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"])
