@@ -88,72 +88,6 @@ def exponent_of(opacity: float, rest: float):
     return wp.log(1.0 - opacity) / wp.log(1.0 - rest)
 
 
-@wp.func
-def add_view_slopes(
-    law: int,
-    splats: Splats,
-    n: int,
-    lens: Lens,
-    seen: ViewSlopes,
-    rest_covariances: wp.array2d(dtype=float),
-    rest_opacities: wp.array(dtype=float),
-    carried: CarriedSplats,
-    log_scales: wp.array(dtype=wp.vec3),
-    quaternions: wp.array(dtype=wp.vec4),
-    slopes: CarriedSlopes,
-    rays: wp.array2d(dtype=wp.float32),
-    values: SplatValues,
-):
-    """Add what splat n passes on of a view, see `propagate_pose`."""
-    jacobian = carried.jacobians[n]
-    rotation = wp.quat_to_matrix(splats.turns[n])
-    by_covariance = covariance_slopes(seen)
-    by_rotation = wp.outer(rotation * seen.rest, seen.turn)
-    by_jacobian = 2.0 * by_covariance * jacobian * covariance_of(rest_covariances, n)
-    by_jacobian += rotation_slopes(jacobian, rotation, by_rotation)
-    opacity = splats.opacities[n]
-    rest = rest_opacities[n]
-    left = 1.0 - opacity
-    by_opacity = seen.strength / (LN_2 * opacity)
-    if law == LAW_DENSITY and left > 0.0:
-        square = wp.ddot(jacobian, jacobian)  # 3 |J|^2
-        by_jacobian -= (by_opacity * left * wp.log(left) / wp.max(square, 1.0e-30)) * jacobian
-    by_center = seen.center + seen.by_color
-    slopes.positions[n] = slopes.positions[n] + by_center
-    slopes.jacobians[n] = slopes.jacobians[n] + by_jacobian
-    if rays.shape[0] > 0:
-        # a camera that turns sees what it saw of splats that turn the other way, but for their colors
-        turn = wp.cross(seen.offset, seen.center) + axial(2.0 * by_covariance * covariance_of(splats.covariances, n))
-        for axis in range(3):
-            along = wp.vec3(lens.camera.rotation[0, axis], lens.camera.rotation[1, axis], lens.camera.rotation[2, axis])
-            rays[n, axis] = rays[n, axis] - wp.dot(turn, along)
-            rays[n, 3 + axis] = rays[n, 3 + axis] - wp.dot(by_center, along)
-        rays[n, 6] = rays[n, 6] + seen.focal
-    if log_scales.shape[0] > 0:
-        row = harmonics_row(splats, n)
-        logs = log_scales[row]
-        quaternion = quaternions[row]
-        axes = splat_axes(quaternion)
-        at_rest = wp.transpose(jacobian) * by_covariance * jacobian
-        by_axes = wp.mat33()
-        by_logs = wp.vec3()
-        for i in range(3):
-            own = wp.vec3(axes[0, i], axes[1, i], axes[2, i])
-            scale = wp.exp(logs[i])
-            factor = 2.0 * scale * (at_rest * own)
-            by_logs[i] = scale * wp.dot(factor, own)
-            for j in range(3):
-                by_axes[j, i] = scale * factor[j]
-        wp.atomic_add(values.centers, row, wp.transpose(jacobian) * by_center)
-        wp.atomic_add(values.log_scales, row, by_logs)
-        wp.atomic_add(values.quaternions, row, quaternion_slope(quaternion, by_axes))
-        wp.atomic_add(values.logits, row, by_opacity * exponent_of(opacity, rest) * left * rest)
-        basis = sh_basis(seen.rest)
-        for b in range((splats.degree + 1) * (splats.degree + 1)):
-            for channel in range(3):
-                wp.atomic_add(values.harmonics, row, 3 * b + channel, basis[b] * seen.color[channel])
-
-
 @wp.kernel
 def propagate_pose(
     first: int,
@@ -182,22 +116,59 @@ def propagate_pose(
             depths = wp.vec3(depth_sums[3 * at], depth_sums[3 * at + 1], depth_sums[3 * at + 2])
         lens = lenses[number]
         seen = view_slopes(splats, n, at, lens, view, sums, depths)
-        if seen.is_seen == 1:
-            add_view_slopes(
-                law,
-                splats,
-                n,
-                lens,
-                seen,
-                rest_covariances,
-                rest_opacities,
-                carried,
-                log_scales,
-                quaternions,
-                slopes,
-                rays,
-                values,
+        if seen.is_seen == 0:
+            continue
+        jacobian = carried.jacobians[n]
+        rotation = wp.quat_to_matrix(splats.turns[n])
+        by_covariance = covariance_slopes(seen)
+        by_rotation = wp.outer(rotation * seen.rest, seen.turn)
+        by_jacobian = 2.0 * by_covariance * jacobian * covariance_of(rest_covariances, n)
+        by_jacobian += rotation_slopes(jacobian, rotation, by_rotation)
+        opacity = splats.opacities[n]
+        rest = rest_opacities[n]
+        left = 1.0 - opacity
+        by_opacity = seen.strength / (LN_2 * opacity)
+        if law == LAW_DENSITY and left > 0.0:
+            square = wp.ddot(jacobian, jacobian)  # 3 |J|^2
+            by_jacobian -= (by_opacity * left * wp.log(left) / wp.max(square, 1.0e-30)) * jacobian
+        by_center = seen.center + seen.by_color
+        slopes.positions[n] = slopes.positions[n] + by_center
+        slopes.jacobians[n] = slopes.jacobians[n] + by_jacobian
+        if rays.shape[0] > 0:
+            # a camera that turns sees what it saw of splats that turn the other way, but for their colors
+            turn = wp.cross(seen.offset, seen.center) + axial(
+                2.0 * by_covariance * covariance_of(splats.covariances, n)
             )
+            for axis in range(3):
+                along = wp.vec3(
+                    lens.camera.rotation[0, axis], lens.camera.rotation[1, axis], lens.camera.rotation[2, axis]
+                )
+                rays[n, axis] = rays[n, axis] - wp.dot(turn, along)
+                rays[n, 3 + axis] = rays[n, 3 + axis] - wp.dot(by_center, along)
+            rays[n, 6] = rays[n, 6] + seen.focal
+        if log_scales.shape[0] > 0:
+            row = harmonics_row(splats, n)
+            logs = log_scales[row]
+            quaternion = quaternions[row]
+            axes = splat_axes(quaternion)
+            at_rest = wp.transpose(jacobian) * by_covariance * jacobian
+            by_axes = wp.mat33()
+            by_logs = wp.vec3()
+            for i in range(3):
+                own = wp.vec3(axes[0, i], axes[1, i], axes[2, i])
+                scale = wp.exp(logs[i])
+                factor = 2.0 * scale * (at_rest * own)
+                by_logs[i] = scale * wp.dot(factor, own)
+                for j in range(3):
+                    by_axes[j, i] = scale * factor[j]
+            wp.atomic_add(values.centers, row, wp.transpose(jacobian) * by_center)
+            wp.atomic_add(values.log_scales, row, by_logs)
+            wp.atomic_add(values.quaternions, row, quaternion_slope(quaternion, by_axes))
+            wp.atomic_add(values.logits, row, by_opacity * exponent_of(opacity, rest) * left * rest)
+            basis = sh_basis(seen.rest)
+            for b in range((splats.degree + 1) * (splats.degree + 1)):
+                for channel in range(3):
+                    wp.atomic_add(values.harmonics, row, 3 * b + channel, basis[b] * seen.color[channel])
 
 
 @wp.kernel
