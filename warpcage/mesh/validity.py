@@ -164,7 +164,7 @@ def first_geometric_problem(mesh: ClosedMesh) -> str:
             return f"is flat: the part with face {face} encloses no volume: move its sides apart"
         return (
             f"looks inward: the part with face {face} encloses volume {volumes[inward[0]]:.4g}: flip "
-            "its faces to be anticlockwise seen from outside"
+            "its faces to be anticlockwise seen from outside, or mirror it back where a pose mirrored it"
         )
     return ""
 
