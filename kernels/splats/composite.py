@@ -63,8 +63,8 @@ def composite_pixels(
     alpha: wp.array(dtype=wp.float32),
     depth: wp.array(dtype=wp.float32),
 ):
-    """One thread per pixel of the tiles, 32 of them 8x4 pixels. Outputs (h * w,); depth: expected distance along the
-    ray, world units, inf where almost nothing is seen, or (0,)."""
+    """One thread per pixel of the tiles, 32 of them 8x4 pixels. Outputs (views * h * w,); depth: expected distance along
+    the ray, world units, inf where almost nothing is seen, or (0,)."""
     # view: (3 n,) of splats/project. members: splats of tiles, front to back; starts: (tiles + 1,) of each tile.
     tile, column, row, at = pixel_of_tiles(tiles, first + wp.tid())
     inside = 0
@@ -118,8 +118,8 @@ def add_slopes(
     slopes: wp.array(dtype=wp.vec3),
     sums: wp.array(dtype=wp.float32),
 ):
-    """One thread per pixel of the tiles, as splats/composite, whose inputs and picture these are. slopes: (h * w,) of
-    the loss by the picture. sums: (SUMS n,) are added to."""
+    """One thread per pixel of the tiles, as splats/composite, whose inputs and picture these are. slopes:
+    (views * h * w,) of the loss by the picture. sums: (SUMS views n,) are added to."""
     tile, column, row, at = pixel_of_tiles(tiles, first + wp.tid())
     inside = 0
     color = wp.vec3()
@@ -177,8 +177,8 @@ def add_depth_slopes(
     sums: wp.array(dtype=wp.float32),
     depth_sums: wp.array(dtype=wp.float32),
 ):
-    """`add_slopes` of a loss by colors, opacities and depths; others: (h * w,) of gradients/splat_pose. depth_sums:
-    (3 n,) are added to: slopes by a splat's distance, and by how that leans along columns and rows."""
+    """`add_slopes` of a loss by colors, opacities and depths; others: (views * h * w,) of gradients/splat_pose.
+    depth_sums: (3 views n,) are added to: slopes by a splat's distance, and by its lean along columns and rows."""
     tile, column, row, at = pixel_of_tiles(tiles, first + wp.tid())
     inside = 0
     color = wp.vec3()

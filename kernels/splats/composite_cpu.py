@@ -41,7 +41,7 @@ def sum_slopes_of_tiles(
     entry_sums: wp.array(dtype=wp.float32),
 ):
     """One item per tile; inputs and picture of splats/composite_cpu. sources: (entries,) place of each sorted entry
-    among those that were written. slopes: (h * w,) of the loss by the picture. entry_sums: (9 entries,), by place."""
+    among those written. slopes: (views * h * w,) of the loss by the picture. entry_sums: (9 entries,), by place."""
     tile = first + wp.tid()
     sum_tile_slopes(view, members, sources, starts[tile], starts[tile + 1], tiles, tile, stop, rgb, slopes, entry_sums)
 
@@ -148,8 +148,8 @@ def composite_tiles(
     alpha: wp.array(dtype=wp.float32),
     depth: wp.array(dtype=wp.float32),
 ):
-    """One item per tile. Outputs (h * w,), row by row; depth: expected distance along the ray, world units, inf where
-    almost nothing is seen, or (0,)."""
+    """One item per tile. Outputs (views * h * w,), row by row; depth: expected distance along the ray, world units, inf
+    where almost nothing is seen, or (0,)."""
     # view: (3 n,) of splats/project. members: splats of tiles, front to back; starts: (tiles + 1,) of each tile.
     tile = first + wp.tid()
     draw_tile(view, members, starts[tile], starts[tile + 1], tiles, tile, background, stop, rgb, alpha, depth)

@@ -170,7 +170,7 @@ class SplatGradients(SplatRenderer):
 
     @property
     def drawn(self) -> object:
-        """Another one for each drawing."""
+        """What was drawn last, to compare by `is`: each drawing replaces it."""
         return self._drawn
 
     @property

@@ -19,7 +19,7 @@ from .distance import one_a_cell
 #: Shares of the object's size: how far about points edges are shortest, and over which distance they grow.
 _NEAR, _GROWTH = 0.05, 0.15
 
-#: The same of cells: of points that lie denser, one in each says what its neighbors do.
+#: Side of the cells, as a share of the object's size, of each of which one point stands for all.
 _CELL = 0.1 * _NEAR
 
 #: Least deviation from rigid that counts as bending, as a share of the edges about a vertex.
