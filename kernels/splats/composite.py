@@ -63,8 +63,8 @@ def composite_pixels(
     alpha: wp.array(dtype=wp.float32),
     depth: wp.array(dtype=wp.float32),
 ):
-    """One thread per pixel of the tiles, 32 of them 8x4 pixels. Outputs (views * h * w,); depth: expected distance along
-    the ray, world units, inf where almost nothing is seen, or (0,)."""
+    """One thread per pixel of the tiles, 32 of them 8x4 pixels. Outputs (views * h * w,); depth: expected distance
+    along the ray, world units, inf where almost nothing is seen, or (0,)."""
     # view: (3 n,) of splats/project. members: splats of tiles, front to back; starts: (tiles + 1,) of each tile.
     tile, column, row, at = pixel_of_tiles(tiles, first + wp.tid())
     inside = 0
